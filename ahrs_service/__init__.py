@@ -1,0 +1,1 @@
+"""Live attitude and heading reference service for small UAVs."""

@@ -1,0 +1,1 @@
+"""The programs: the only rooms that join links, pipeline and viewer."""

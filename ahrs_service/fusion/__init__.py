@@ -1,0 +1,1 @@
+"""Alignment, strapdown, gates and the attitude filter: kernels on plain numbers."""

@@ -1,0 +1,1 @@
+"""The one forward model of the sensor and its inverse."""

@@ -1,0 +1,120 @@
+"""Settings of every part: frozen, with defaults, validated where they enter (app.config_file).
+
+Each part takes only its own class. Nothing here reads a file.
+"""
+
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
+
+_STRICT = {"extra": "forbid"}
+
+
+@dataclass(frozen=True, slots=True)
+class IntakeSettings:
+    """Which vehicle and which IMU message the samples come from.
+
+    `system` 0 adopts the first autopilot heard; `imu_source` "auto" takes the best message there
+    is; `temperature_source` "imu" trusts SCALED_IMU* and RAW_IMU only, "highres_imu" also
+    HIGHRES_IMU's field (right for recordings whose writer put the IMU's own temperature there).
+    """
+
+    __pydantic_config__: ClassVar = _STRICT
+    system: int = 0
+    component: int = 0
+    imu_source: str = "auto"
+    temperature_source: Literal["imu", "highres_imu"] = "imu"
+
+
+@dataclass(frozen=True, slots=True)
+class GateSettings:
+    """Limits of the three motion gates (Liu et al., sec. 4) and of the checks around them.
+
+    `norm_m_s2` [m/s^2], `rate_rad_s` [rad/s], `angular_acceleration_rad_s2` [rad/s^2],
+    `innovation_sigma` [1-sigma], `accel_range_m_s2` and `gyro_range_rad_s` where the sensor clips.
+    """
+
+    __pydantic_config__: ClassVar = _STRICT
+    norm_m_s2: float = 0.5
+    rate_rad_s: float = 0.35
+    angular_acceleration_rad_s2: float = 2.0
+    innovation_sigma: float = 4.0
+    accel_range_m_s2: float = 156.0
+    gyro_range_rad_s: float = 34.9
+    smoothing_s: float = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class FusionSettings:
+    """Noise of the sensors and of what they are told about the world."""
+
+    __pydantic_config__: ClassVar = _STRICT
+    gyro_noise_rad_s_rthz: float = 0.002
+    gyro_bias_walk_rad_s2_rthz: float = 2e-5
+    gyro_bias_sigma_rad_s: float = 0.02
+    accel_noise_m_s2: float = 0.5
+    alignment_s: float = 1.0
+    gap_s: float = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class LinkSettings:
+    """Identity on the link, rates asked, and the signing key.
+
+    `system` 0 adopts the autopilot's; `signing_key` is a passphrase or 64 hex digits, empty for
+    none; rates in Hz.
+    """
+
+    __pydantic_config__: ClassVar = _STRICT
+    uri: str = "udpin:127.0.0.1:14550"
+    system: int = 0
+    component: int = 191
+    imu_rate_hz: float = 200.0
+    temperature_rate_hz: float = 5.0
+    aiding_rate_hz: float = 10.0
+    signing_key: str = ""
+    signing_link: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class PublishSettings:
+    """What is sent back to the autopilot and how often [Hz]; 0 switches a message off."""
+
+    __pydantic_config__: ClassVar = _STRICT
+    attitude_rate_hz: float = 50.0
+    attitude_quaternion_rate_hz: float = 0.0
+    named_value_rate_hz: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class RecorderSettings:
+    """Where the .tlog goes: rotation by size, and how much disk it may take in all."""
+
+    __pydantic_config__: ClassVar = _STRICT
+    directory: str = ""
+    rotate_mb: float = 100.0
+    limit_mb: float = 1000.0
+
+
+@dataclass(frozen=True, slots=True)
+class ViewerSettings:
+    """The Rerun stream: loopback port (0 is off), optional .rrd file, bounded history."""
+
+    __pydantic_config__: ClassVar = _STRICT
+    port: int = 0
+    rrd: str = ""
+    memory_mb: float = 200.0
+    period_s: float = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """All settings of the service."""
+
+    __pydantic_config__: ClassVar = _STRICT
+    intake: IntakeSettings = field(default_factory=IntakeSettings)
+    gate: GateSettings = field(default_factory=GateSettings)
+    fusion: FusionSettings = field(default_factory=FusionSettings)
+    link: LinkSettings = field(default_factory=LinkSettings)
+    publish: PublishSettings = field(default_factory=PublishSettings)
+    recorder: RecorderSettings = field(default_factory=RecorderSettings)
+    viewer: ViewerSettings = field(default_factory=ViewerSettings)

@@ -1,0 +1,1 @@
+"""Trajectories, scenarios and the simulated IMU with known truth."""

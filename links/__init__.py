@@ -1,0 +1,1 @@
+"""Transports, MAVLink and recordings: bytes on one side, records on the other."""

@@ -1,0 +1,1 @@
+"""The Rerun viewer: blueprint, live stream and batch export."""
