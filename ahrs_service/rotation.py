@@ -6,8 +6,6 @@ v_ned = q * v_body * conj(q). Euler angles are intrinsic Z-Y-X: yaw, then pitch,
 """
 
 import math
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 from numba import njit
@@ -125,7 +123,8 @@ def rotate_columns(q: npt.ArrayLike, vectors: npt.ArrayLike) -> Floats:
     q = np.asarray(q, np.float64)
     v = np.asarray(vectors, np.float64)
     u, w = q[..., 1:], q[..., :1]
-    return _as_floats(v + 2.0 * np.cross(u, np.cross(u, v) + w * v))
+    turned: Floats = v + 2.0 * np.cross(u, np.cross(u, v) + w * v)
+    return turned
 
 
 def inverse_columns(q: npt.ArrayLike) -> Floats:
@@ -146,7 +145,3 @@ def multiply_columns(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
         ],
         axis=-1,
     )
-
-
-def _as_floats(values: Any) -> Floats:
-    return np.asarray(values, np.float64)
