@@ -13,6 +13,12 @@ import numpy.typing as npt
 Rows = npt.NDArray[Any]
 """A structured array of one of the dtypes below."""
 
+Record = Any
+"""One row of such an array, as the kernels see it."""
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
 
 class Kind(IntEnum):
     """What a reading carries."""

@@ -6,11 +6,12 @@ v_ned = q * v_body * conj(q). Euler angles are intrinsic Z-Y-X: yaw, then pitch,
 """
 
 import math
+
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-Floats = npt.NDArray[np.float64]
+from ahrs_service.records import Floats
 
 
 @njit(cache=True)
@@ -123,8 +124,7 @@ def rotate_columns(q: npt.ArrayLike, vectors: npt.ArrayLike) -> Floats:
     q = np.asarray(q, np.float64)
     v = np.asarray(vectors, np.float64)
     u, w = q[..., 1:], q[..., :1]
-    turned: Floats = v + 2.0 * np.cross(u, np.cross(u, v) + w * v)
-    return turned
+    return np.asarray(v + 2.0 * np.cross(u, np.cross(u, v) + w * v), np.float64)
 
 
 def inverse_columns(q: npt.ArrayLike) -> Floats:

@@ -1,0 +1,274 @@
+"""From readings to samples: adopts the vehicle, chooses the IMU, attaches temperature and aiding.
+
+The same kernel takes one live reading or a whole recording, so both choose alike. It decides by
+the readings alone, never by a clock.
+"""
+
+from typing import Final
+
+import numpy as np
+from numba import njit
+
+from ahrs_service.records import Flag, ImuSource, Integers, Kind, Record, Rows
+from ahrs_service.settings import IntakeSettings
+
+_SOURCES: Final = 16
+_IMUS: Final = 4
+
+STATE_DTYPE: Final = np.dtype(
+    [
+        ("last_received_ns", "i8", _SOURCES),
+        ("last_time_ns", "i8", _SOURCES),
+        ("count", "i8", _SOURCES),
+        ("interval_s", "f8", _SOURCES),
+        ("temperature_degc", "f8", _IMUS),
+        ("temperature_received_ns", "i8", _IMUS),
+        ("temperature_first_ns", "i8", _IMUS),
+        ("temperature_changed_ns", "i8", _IMUS),
+        ("temperature_changes", "i8", _IMUS),
+        ("mag_ut", "f8", 3),
+        ("velocity_ned_m_s", "f8", 3),
+        ("airspeed_m_s", "f8"),
+        ("foreign", "i8"),
+        ("unused", "i8"),
+        ("source_changes", "i8"),
+        ("system", "i8"),
+        ("component", "i8"),
+        ("source", "i8"),
+    ]
+)
+"""What the intake remembers; saved and restored by its bytes."""
+
+PARAMETERS_DTYPE: Final = np.dtype(
+    [
+        ("imu_of_source", "i8", _SOURCES),
+        ("system", "i8"),
+        ("component", "i8"),
+        ("source", "i8"),
+        ("highres_temperature", "i8"),
+    ]
+)
+
+_HEARTBEAT = int(Kind.HEARTBEAT)
+_IMU = int(Kind.IMU)
+_AIRSPEED = int(Kind.AIRSPEED)
+_VELOCITY = int(Kind.VELOCITY)
+_HIGHRES = (
+    int(ImuSource.HIGHRES_IMU),
+    int(ImuSource.HIGHRES_IMU_1),
+    int(ImuSource.HIGHRES_IMU_2),
+)
+_IMU_OF_SOURCE = {
+    ImuSource.HIGHRES_IMU_1: 1,
+    ImuSource.HIGHRES_IMU_2: 2,
+    ImuSource.SCALED_IMU2: 1,
+    ImuSource.SCALED_IMU3: 2,
+}
+_SOURCE_CHANGED = int(Flag.SOURCE_CHANGED)
+_TEMPERATURE_STALE = int(Flag.TEMPERATURE_STALE)
+_AUTOPILOT_INVALID = 8
+
+_SETTLED_COUNT = 10
+_SILENCE_S = 1.0
+_TEMPERATURE_SILENCE_S = 10.0
+_TEMPERATURE_FROZEN_S = 30.0
+_INTERVAL_WEIGHT = 0.05
+
+
+def new_state() -> Rows:
+    """Return the state [1] before anything was heard."""
+    state = np.zeros(1, STATE_DTYPE)
+    for name in ("temperature_degc", "mag_ut", "velocity_ned_m_s", "airspeed_m_s"):
+        state[name] = np.nan
+    return state
+
+
+def parameters(settings: IntakeSettings) -> Rows:
+    """Return the kernel's parameters [1]; ValueError for an IMU source that does not exist."""
+    row = np.zeros(1, PARAMETERS_DTYPE)
+    for source, imu in _IMU_OF_SOURCE.items():
+        row["imu_of_source"][0, source] = imu
+    row["system"] = settings.system
+    row["component"] = settings.component
+    if settings.imu_source != "auto":
+        names = [source.name for source in ImuSource if source]
+        if settings.imu_source.upper() not in names:
+            raise ValueError(
+                f"intake.imu_source = {settings.imu_source!r}: choose auto or one of "
+                + ", ".join(names)
+            )
+        row["source"] = ImuSource[settings.imu_source.upper()]
+    row["highres_temperature"] = settings.temperature_source == "highres_imu"
+    return row
+
+
+@njit(cache=True)
+def _adopt(parameters: Record, state: Record, reading: Record) -> bool:
+    """Adopt the first autopilot heard; return whether `reading` is of the adopted vehicle."""
+    if (
+        state["system"] == 0
+        and reading["kind"] == _HEARTBEAT
+        and reading["autopilot"] != _AUTOPILOT_INVALID
+        and (parameters["system"] == 0 or parameters["system"] == reading["system"])
+        and (parameters["component"] == 0 or parameters["component"] == reading["component"])
+    ):
+        state["system"] = reading["system"]
+        state["component"] = reading["component"]
+    return (
+        state["system"] != 0
+        and reading["system"] == state["system"]
+        and reading["component"] == state["component"]
+    )
+
+
+@njit(cache=True)
+def _measure_interval(state: Record, reading: Record) -> None:
+    """Follow the interval between readings of one source by the sender's clock [s]."""
+    source = reading["source"]
+    if state["count"][source] > 0:
+        dt = (reading["time_ns"] - state["last_time_ns"][source]) * 1e-9
+        if 0.0 <= dt < 10.0:
+            weight = max(_INTERVAL_WEIGHT, 1.0 / state["count"][source])
+            state["interval_s"][source] += weight * (dt - state["interval_s"][source])
+    state["count"][source] += 1
+    state["last_time_ns"][source] = reading["time_ns"]
+    state["last_received_ns"][source] = reading["received_ns"]
+
+
+@njit(cache=True)
+def _is_better(state: Record, source: int, received_ns: int) -> bool:
+    """Tell whether `source` should replace the one in use.
+
+    It does when the one in use fell silent, when `source` is at least twice as fast, or when it
+    is of better rank and about as fast.
+    """
+    used = state["source"]
+    silence_s = (received_ns - state["last_received_ns"][used]) * 1e-9
+    if silence_s > max(_SILENCE_S, 10.0 * state["interval_s"][used]):
+        return True
+    if state["count"][source] < _SETTLED_COUNT:
+        return False
+    interval, used_interval = state["interval_s"][source], state["interval_s"][used]
+    return interval < 0.5 * used_interval or (source < used and interval <= 1.5 * used_interval)
+
+
+@njit(cache=True)
+def _choose(parameters: Record, state: Record, reading: Record) -> tuple[bool, bool]:
+    """Decide whether this reading's source is the one in use; return (use it, changed)."""
+    source = np.int64(reading["source"])
+    if parameters["source"] != 0:
+        state["source"] = parameters["source"]
+        return source == parameters["source"], False
+    if state["source"] == 0:
+        state["source"] = source
+        return True, False
+    if source != state["source"] and _is_better(state, source, reading["received_ns"]):
+        state["source"] = source
+        state["source_changes"] += 1
+        return True, True
+    return source == state["source"], False
+
+
+@njit(cache=True)
+def _take_temperature(parameters: Record, state: Record, reading: Record) -> None:
+    """Keep the IMU's own temperature; HIGHRES_IMU's field is another sensor's unless told so."""
+    value = reading["temperature_degc"]
+    if np.isnan(value):
+        return
+    source = reading["source"]
+    if source in _HIGHRES and parameters["highres_temperature"] == 0:
+        return
+    imu = parameters["imu_of_source"][source]
+    received_ns = reading["received_ns"]
+    if np.isnan(state["temperature_degc"][imu]):
+        state["temperature_first_ns"][imu] = received_ns
+        state["temperature_changed_ns"][imu] = received_ns
+    elif value != state["temperature_degc"][imu]:
+        state["temperature_changes"][imu] += 1
+        state["temperature_changed_ns"][imu] = received_ns
+    state["temperature_degc"][imu] = value
+    state["temperature_received_ns"][imu] = received_ns
+
+
+@njit(cache=True)
+def _temperature_is_stale(state: Record, imu: int, received_ns: int) -> bool:
+    """Tell whether the temperature stopped coming, or stopped moving although it used to.
+
+    Frozen means no change for 30 s and for 20 times the mean time between changes so far.
+    """
+    if np.isnan(state["temperature_degc"][imu]):
+        return False
+    if (received_ns - state["temperature_received_ns"][imu]) * 1e-9 > _TEMPERATURE_SILENCE_S:
+        return True
+    changes = state["temperature_changes"][imu]
+    if changes < 5:
+        return False
+    changed_ns = state["temperature_changed_ns"][imu]
+    mean_s = (changed_ns - state["temperature_first_ns"][imu]) * 1e-9 / changes
+    return (received_ns - changed_ns) * 1e-9 > max(_TEMPERATURE_FROZEN_S, 20.0 * mean_s)
+
+
+@njit(cache=True)
+def _write_sample(
+    parameters: Record, state: Record, reading: Record, changed: bool, sample: Record
+) -> None:
+    imu = parameters["imu_of_source"][reading["source"]]
+    flags = 0
+    if changed:
+        flags |= _SOURCE_CHANGED
+    if _temperature_is_stale(state, imu, reading["received_ns"]):
+        flags |= _TEMPERATURE_STALE
+    sample["time_ns"] = reading["time_ns"]
+    sample["received_ns"] = reading["received_ns"]
+    sample["temperature_degc"] = state["temperature_degc"][imu]
+    sample["airspeed_m_s"] = state["airspeed_m_s"]
+    state["airspeed_m_s"] = np.nan
+    for i in range(3):
+        sample["gyro_rad_s"][i] = reading["gyro_rad_s"][i]
+        sample["accel_m_s2"][i] = reading["accel_m_s2"][i]
+        sample["mag_ut"][i] = reading["mag_ut"][i]
+        sample["velocity_ned_m_s"][i] = state["velocity_ned_m_s"][i]
+        state["velocity_ned_m_s"][i] = np.nan
+    sample["flags"] = flags
+    sample["source"] = reading["source"]
+
+
+@njit(cache=True)
+def _take_imu(parameters: Record, state: Record, reading: Record, sample: Record) -> int:
+    """Take one IMU reading; return 1 if it became a sample."""
+    _take_temperature(parameters, state, reading)
+    use, changed = _choose(parameters, state, reading)
+    _measure_interval(state, reading)
+    if not use:
+        state["unused"] += 1
+        return 0
+    _write_sample(parameters, state, reading, changed, sample)
+    return 1
+
+
+@njit(cache=True)
+def select(
+    parameters: Rows, state: Rows, readings: Rows, samples: Rows, positions: Integers
+) -> int:
+    """Turn `readings` [N] into samples, written to the front of `samples` [>= N].
+
+    `positions` [>= N] takes for each sample the index of its reading. Returns how many samples
+    were written. `parameters` and `state` are rows [1]; `state` moves on.
+    """
+    settings, memory = parameters[0], state[0]
+    written = 0
+    for n in range(readings.shape[0]):
+        reading = readings[n]
+        if not _adopt(settings, memory, reading):
+            memory["foreign"] += 1
+            continue
+        kind = reading["kind"]
+        if kind == _IMU:
+            positions[written] = n
+            written += _take_imu(settings, memory, reading, samples[written])
+        elif kind == _AIRSPEED:
+            memory["airspeed_m_s"] = reading["airspeed_m_s"]
+        elif kind == _VELOCITY:
+            for i in range(3):
+                memory["velocity_ned_m_s"][i] = reading["velocity_ned_m_s"][i]
+    return written
