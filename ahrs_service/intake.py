@@ -155,7 +155,7 @@ def _is_better(state: Record, source: int, received_ns: int) -> bool:
 @njit(cache=True)
 def _choose(parameters: Record, state: Record, reading: Record) -> tuple[bool, bool]:
     """Decide whether this reading's source is the one in use; return (use it, changed)."""
-    source = np.int64(reading["source"])
+    source = int(reading["source"])
     if parameters["source"] != 0:
         state["source"] = parameters["source"]
         return source == parameters["source"], False

@@ -54,6 +54,8 @@ class FusionSettings:
     accel_noise_m_s2: float = 0.5
     alignment_s: float = 1.0
     gap_s: float = 0.5
+    magnetometer: bool = True
+    declination_deg: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

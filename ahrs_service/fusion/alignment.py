@@ -1,0 +1,124 @@
+"""The first attitude: gravity at once, then averaged; at rest also the gyro's bias."""
+
+import math
+from typing import Final
+
+import numpy as np
+from numba import njit
+
+from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.records import Floats, Record
+from ahrs_service.rotation import from_euler, matrix, to_euler
+
+ALIGNMENT_FIELDS: Final = [
+    ("aligned_samples", "i8"),
+    ("alignment_start_ns", "i8"),
+    ("gyro_sum_rad_s", "f8", 3),
+    ("gyro_square_sum", "f8", 3),
+    ("force_error_sum", "f8"),
+]
+"""Fields of the pipeline's state that this module keeps."""
+
+TILT_SIGMA_RAD: Final = 0.5
+"""Of the attitude from one reading of a vehicle that may be moving [rad]."""
+HEADING_SIGMA_RAD: Final = math.pi
+"""Of a heading that nothing was known about [rad]."""
+MIN_SAMPLES: Final = 3
+REST_RATE_SPREAD_RAD_S: Final = 0.02
+"""A vehicle at rest shows a gyro spread below this even on a vibrating ground [rad/s]."""
+REST_RATE_RAD_S: Final = 0.15
+"""Turn-on bias of a consumer MEMS gyro stays below this: 5 deg/s and some reserve [rad/s]."""
+REST_FORCE_ERROR_M_S2: Final = 0.5
+REST_BIAS_SIGMA_RAD_S: Final = 0.002
+"""Of a bias averaged at rest over about a second [rad/s]."""
+
+
+@njit(cache=True)
+def start(state: Record, bias_sigma_rad_s: float) -> None:
+    """Forget the attitude and begin to align; the gyro bias found so far is kept."""
+    p = state["covariance"]
+    for i in range(6):
+        for j in range(6):
+            p[i, j] = 0.0
+    p[0, 0] = p[1, 1] = TILT_SIGMA_RAD**2
+    p[2, 2] = HEADING_SIGMA_RAD**2
+    for i in range(3):
+        p[3 + i, 3 + i] = bias_sigma_rad_s**2
+        state["gyro_sum_rad_s"][i] = 0.0
+        state["gyro_square_sum"][i] = 0.0
+    state["force_error_sum"] = 0.0
+    state["aligned_samples"] = 0
+    state["alignment_start_ns"] = state["time_ns"]
+
+
+@njit(cache=True)
+def first_attitude(state: Record, gyro: Floats, accel: Floats) -> None:
+    """Set roll and pitch from one specific force [3] [m/s^2]; the heading is kept, 0 at first."""
+    before = np.empty(3)
+    to_euler(state["ned_from_body"], before)
+    roll = math.atan2(-accel[1], -accel[2])
+    pitch = math.atan2(accel[0], math.sqrt(accel[1] * accel[1] + accel[2] * accel[2]))
+    from_euler(roll, pitch, before[2], state["ned_from_body"])
+    ned_from_body = np.empty((3, 3))
+    matrix(state["ned_from_body"], ned_from_body)
+    for i in range(3):
+        state["rate_rad_s"][i] = gyro[i] - state["gyro_bias_rad_s"][i]
+        state["smooth_rate_rad_s"][i] = state["rate_rad_s"][i]
+        state["force_ned_m_s2"][i] = (
+            ned_from_body[i, 0] * accel[0]
+            + ned_from_body[i, 1] * accel[1]
+            + ned_from_body[i, 2] * accel[2]
+        )
+    state["aligned_samples"] = 1
+
+
+@njit(cache=True)
+def gather(state: Record, gyro: Floats, accel: Floats, duration_s: float) -> bool:
+    """Add a sample to the alignment; return whether it is complete.
+
+    If the vehicle stood still all the time, the mean rate is the gyro's bias.
+    """
+    norm = math.sqrt(accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2])
+    state["force_error_sum"] += abs(norm - STANDARD_GRAVITY_M_S2)
+    for i in range(3):
+        state["gyro_sum_rad_s"][i] += gyro[i]
+        state["gyro_square_sum"][i] += gyro[i] * gyro[i]
+    state["aligned_samples"] += 1
+    elapsed_s = (state["time_ns"] - state["alignment_start_ns"]) * 1e-9
+    if state["aligned_samples"] <= MIN_SAMPLES or elapsed_s < duration_s:
+        return False
+    _take_rest_bias(state)
+    return True
+
+
+@njit(cache=True)
+def _take_rest_bias(state: Record) -> None:
+    """Take the mean rate for the bias if rate and force were those of a vehicle at rest."""
+    count = state["aligned_samples"] - 1
+    rest = state["force_error_sum"] / count < REST_FORCE_ERROR_M_S2
+    for i in range(3):
+        mean = state["gyro_sum_rad_s"][i] / count
+        spread2 = state["gyro_square_sum"][i] / count - mean * mean
+        rest = rest and abs(mean) < REST_RATE_RAD_S and spread2 < REST_RATE_SPREAD_RAD_S**2
+    if not rest:
+        return
+    p = state["covariance"]
+    for i in range(3):
+        state["gyro_bias_rad_s"][i] = state["gyro_sum_rad_s"][i] / count
+        for j in range(6):
+            p[3 + i, j] = 0.0
+            p[j, 3 + i] = 0.0
+    for i in range(3):
+        p[3 + i, 3 + i] = REST_BIAS_SIGMA_RAD_S**2
+
+
+@njit(cache=True)
+def bound_tilt(p: Floats) -> None:
+    """Keep the attitude variances at what no knowledge at all means."""
+    for axis in range(3):
+        limit = HEADING_SIGMA_RAD**2
+        if p[axis, axis] > limit:
+            scale = math.sqrt(limit / p[axis, axis])
+            for j in range(6):
+                p[axis, j] *= scale
+                p[j, axis] *= scale

@@ -1,0 +1,98 @@
+"""What the samples' own time stamps say: the step, gaps, duplicates, late samples, clock jumps.
+
+Time is data: nothing here reads a clock, so a replay sees what the live service saw.
+"""
+
+from typing import Final
+
+from numba import njit
+
+from ahrs_service.records import Flag, Record
+
+TIME_FIELDS: Final = [
+    ("time_ns", "i8"),
+    ("late_time_ns", "i8"),
+    ("interval_s", "f8"),
+    ("samples", "i8"),
+    ("gaps", "i8"),
+    ("duplicates", "i8"),
+    ("reordered", "i8"),
+    ("clock_jumps", "i8"),
+]
+"""Fields of the pipeline's state that this module keeps."""
+
+_GAP = int(Flag.GAP)
+_DUPLICATE = int(Flag.DUPLICATE)
+_REORDERED = int(Flag.REORDERED)
+_CLOCK_JUMP = int(Flag.CLOCK_JUMP)
+_LOW_RATE = int(Flag.LOW_RATE)
+NOT_INTEGRATED: Final = _DUPLICATE | _REORDERED
+"""A sample with one of these flags moves nothing."""
+
+LATE_LIMIT_S: Final = 1.0
+"""A stamp further back than this is a clock that jumped, not a sample that came late [s]."""
+FORWARD_LIMIT_S: Final = 60.0
+"""A stamp further ahead than this is a clock that jumped [s]."""
+LOW_RATE_INTERVAL_S: Final = 0.05
+"""Slower than 20 Hz the turn between two samples is not known [s]."""
+_INTERVAL_WEIGHT = 0.05
+_GAP_INTERVALS = 5.0
+
+
+@njit(cache=True)
+def _follow_interval(state: Record, dt_s: float) -> None:
+    """Follow the usual step; one long gap moves it little."""
+    if state["interval_s"] == 0.0:
+        state["interval_s"] = dt_s
+    else:
+        limited = min(dt_s, 3.0 * state["interval_s"])
+        state["interval_s"] += _INTERVAL_WEIGHT * (limited - state["interval_s"])
+
+
+@njit(cache=True)
+def _step_back(state: Record, time_ns: int) -> int:
+    """Judge a stamp before the newest one: late samples come singly, a stepped clock goes on.
+
+    A second late stamp that follows the first within a gap's length is a clock that was set back.
+    """
+    back_s = (state["time_ns"] - time_ns) * 1e-9
+    after_late_s = (time_ns - state["late_time_ns"]) * 1e-9
+    goes_on = 0.0 < after_late_s < 2.0 * _GAP_INTERVALS * state["interval_s"]
+    state["late_time_ns"] = time_ns
+    if back_s < LATE_LIMIT_S and not goes_on:
+        state["reordered"] += 1
+        return _REORDERED
+    state["clock_jumps"] += 1
+    state["time_ns"] = time_ns
+    return _CLOCK_JUMP
+
+
+@njit(cache=True)
+def advance(state: Record, time_ns: int, gap_s: float) -> tuple[float, int]:
+    """Take the stamp of a sample; return the step [s] and what was found (records.Flag).
+
+    The step is 0 for the first sample and for one that moves nothing; after a clock jump it is
+    the usual interval.
+    """
+    state["samples"] += 1
+    if state["samples"] == 1:
+        state["time_ns"] = time_ns
+        return 0.0, 0
+    dt_s = (time_ns - state["time_ns"]) * 1e-9
+    if dt_s == 0.0:
+        state["duplicates"] += 1
+        return 0.0, _DUPLICATE
+    if dt_s < 0.0:
+        found = _step_back(state, time_ns)
+        return (0.0 if found == _REORDERED else float(state["interval_s"])), found
+    state["time_ns"] = time_ns
+    if dt_s > FORWARD_LIMIT_S:
+        state["clock_jumps"] += 1
+        return float(state["interval_s"]), _CLOCK_JUMP
+    usual_s = state["interval_s"]
+    flags = _LOW_RATE if usual_s > LOW_RATE_INTERVAL_S else 0
+    if usual_s > 0.0 and dt_s > max(gap_s, _GAP_INTERVALS * usual_s):
+        state["gaps"] += 1
+        return dt_s, flags | _GAP
+    _follow_interval(state, dt_s)
+    return dt_s, flags
