@@ -7,8 +7,8 @@ the readings alone, never by a clock.
 from typing import Final
 
 import numpy as np
-from numba import njit
 
+from ahrs_service.kernel import kernel
 from ahrs_service.records import Flag, ImuSource, Integers, Kind, Record, Rows
 from ahrs_service.settings import IntakeSettings
 
@@ -102,7 +102,7 @@ def parameters(settings: IntakeSettings) -> Rows:
     return row
 
 
-@njit(cache=True)
+@kernel
 def _adopt(parameters: Record, state: Record, reading: Record) -> bool:
     """Adopt the first autopilot heard; return whether `reading` is of the adopted vehicle."""
     if (
@@ -121,7 +121,7 @@ def _adopt(parameters: Record, state: Record, reading: Record) -> bool:
     )
 
 
-@njit(cache=True)
+@kernel
 def _measure_interval(state: Record, reading: Record) -> None:
     """Follow the interval between readings of one source by the sender's clock [s]."""
     source = reading["source"]
@@ -135,7 +135,7 @@ def _measure_interval(state: Record, reading: Record) -> None:
     state["last_received_ns"][source] = reading["received_ns"]
 
 
-@njit(cache=True)
+@kernel
 def _is_better(state: Record, source: int, received_ns: int) -> bool:
     """Tell whether `source` should replace the one in use.
 
@@ -152,7 +152,7 @@ def _is_better(state: Record, source: int, received_ns: int) -> bool:
     return interval < 0.5 * used_interval or (source < used and interval <= 1.5 * used_interval)
 
 
-@njit(cache=True)
+@kernel
 def _choose(parameters: Record, state: Record, reading: Record) -> tuple[bool, bool]:
     """Decide whether this reading's source is the one in use; return (use it, changed)."""
     source = int(reading["source"])
@@ -169,7 +169,7 @@ def _choose(parameters: Record, state: Record, reading: Record) -> tuple[bool, b
     return source == state["source"], False
 
 
-@njit(cache=True)
+@kernel
 def _take_temperature(parameters: Record, state: Record, reading: Record) -> None:
     """Keep the IMU's own temperature; HIGHRES_IMU's field is another sensor's unless told so."""
     value = reading["temperature_degc"]
@@ -190,7 +190,7 @@ def _take_temperature(parameters: Record, state: Record, reading: Record) -> Non
     state["temperature_received_ns"][imu] = received_ns
 
 
-@njit(cache=True)
+@kernel
 def _temperature_is_stale(state: Record, imu: int, received_ns: int) -> bool:
     """Tell whether the temperature stopped coming, or stopped moving although it used to.
 
@@ -208,7 +208,7 @@ def _temperature_is_stale(state: Record, imu: int, received_ns: int) -> bool:
     return (received_ns - changed_ns) * 1e-9 > max(_TEMPERATURE_FROZEN_S, 20.0 * mean_s)
 
 
-@njit(cache=True)
+@kernel
 def _write_sample(
     parameters: Record, state: Record, reading: Record, changed: bool, sample: Record
 ) -> None:
@@ -233,7 +233,7 @@ def _write_sample(
     sample["source"] = reading["source"]
 
 
-@njit(cache=True)
+@kernel
 def _take_imu(parameters: Record, state: Record, reading: Record, sample: Record) -> int:
     """Take one IMU reading; return 1 if it became a sample."""
     _take_temperature(parameters, state, reading)
@@ -246,7 +246,7 @@ def _take_imu(parameters: Record, state: Record, reading: Record, sample: Record
     return 1
 
 
-@njit(cache=True)
+@kernel
 def select(
     parameters: Rows, state: Rows, readings: Rows, samples: Rows, positions: Integers
 ) -> int:

@@ -10,10 +10,10 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.fusion import alignment, gating, heading, mekf, strapdown, timebase
+from ahrs_service.kernel import kernel
 from ahrs_service.records import Flag, Floats, Gate, Phase, Record, Rows
 from ahrs_service.rotation import down_in_body, matrix
 from ahrs_service.sensor.compensation import compensate
@@ -109,7 +109,7 @@ def parameters(settings: Settings) -> Rows:
     return row
 
 
-@njit(cache=True)
+@kernel
 def _check_sensors(
     settings: Record, state: Record, sample: Record, gyro: Floats, accel: Floats
 ) -> int:
@@ -138,7 +138,7 @@ def _check_sensors(
     return flags
 
 
-@njit(cache=True)
+@kernel
 def _propagate(settings: Record, state: Record, gyro: Floats, dt_s: float, flags: int) -> None:
     """Integrate the attitude over the step and let the covariance grow.
 
@@ -169,7 +169,7 @@ def _propagate(settings: Record, state: Record, gyro: Floats, dt_s: float, flags
         state["rate_rad_s"][i] = rate[i]
 
 
-@njit(cache=True)
+@kernel
 def _average_force(settings: Record, state: Record, accel: Floats, dt_s: float) -> None:
     """Average the specific force in earth axes, where gravity stands still while the body turns."""
     ned_from_body = np.empty((3, 3))
@@ -182,12 +182,12 @@ def _average_force(settings: Record, state: Record, accel: Floats, dt_s: float) 
         state["force_ned_m_s2"][i] += weight * (force - state["force_ned_m_s2"][i])
 
 
-@njit(cache=True)
+@kernel
 def _norm(v: Floats) -> float:
     return math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
 
 
-@njit(cache=True)
+@kernel
 def _correct_tilt(settings: Record, state: Record, dt_s: float, flags: int, out: Record) -> None:
     """Judge the averaged force by the gates and correct the tilt where they are open."""
     metrics = np.empty(3)
@@ -225,7 +225,7 @@ def _correct_tilt(settings: Record, state: Record, dt_s: float, flags: int, out:
     _write_gate(metrics, tilt, sigmas, state["ned_from_body"], out)
 
 
-@njit(cache=True)
+@kernel
 def _write_gate(metrics: Floats, tilt: Floats, sigmas: float, q: Floats, out: Record) -> None:
     """Note what the gate saw; the innovation is turned into body axes."""
     body = np.empty((3, 3))
@@ -238,7 +238,7 @@ def _write_gate(metrics: Floats, tilt: Floats, sigmas: float, q: Floats, out: Re
         out["innovation_rad"][i] = body[0, i] * tilt[0] + body[1, i] * tilt[1]
 
 
-@njit(cache=True)
+@kernel
 def _write_estimate(state: Record, sample: Record, accel: Floats, flags: int, out: Record) -> None:
     down = np.empty(3)
     down_in_body(state["ned_from_body"], down)
@@ -260,7 +260,7 @@ def _write_estimate(state: Record, sample: Record, accel: Floats, flags: int, ou
     out["source"] = sample["source"]
 
 
-@njit(cache=True)
+@kernel
 def _clear_gate(out: Record) -> None:
     out["gate_norm_m_s2"] = np.nan
     out["gate_rate_rad_s"] = np.nan
@@ -270,7 +270,7 @@ def _clear_gate(out: Record) -> None:
         out["innovation_rad"][i] = np.nan
 
 
-@njit(cache=True)
+@kernel
 def _realign_if_lost(settings: Record, state: Record, dt_s: float, flags: int) -> int:
     """Start to align at the first sample, and anew when the attitude was lost."""
     long_gap = flags & _GAP != 0 and dt_s > REALIGN_GAP_S
@@ -285,7 +285,7 @@ def _realign_if_lost(settings: Record, state: Record, dt_s: float, flags: int) -
     return flags
 
 
-@njit(cache=True)
+@kernel
 def _step(settings: Record, coefficients: Rows, state: Record, sample: Record, out: Record) -> None:
     gyro, accel = np.empty(3), np.empty(3)
     flags = sample["flags"] | compensate(
@@ -308,7 +308,7 @@ def _step(settings: Record, coefficients: Rows, state: Record, sample: Record, o
     _write_estimate(state, sample, accel, flags, out)
 
 
-@njit(cache=True)
+@kernel
 def _move(
     settings: Record,
     state: Record,
@@ -339,13 +339,13 @@ def _move(
         state["phase"] = _RUNNING
 
 
-@njit(cache=True)
+@kernel
 def step(parameters: Rows, coefficients: Rows, state: Rows, sample: Rows, estimate: Rows) -> None:
     """Take one sample [1], move `state` [1] on and write the estimate [1]."""
     _step(parameters[0], coefficients, state[0], sample[0], estimate[0])
 
 
-@njit(cache=True)
+@kernel
 def batch(
     parameters: Rows, coefficients: Rows, state: Rows, samples: Rows, estimates: Rows
 ) -> None:

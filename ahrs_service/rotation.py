@@ -9,12 +9,12 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats
 
 
-@njit(cache=True)
+@kernel
 def multiply(p: Floats, q: Floats, out: Floats) -> None:
     """Hamilton product out = p * q, each [4]; `out` may be `p` or `q`."""
     w = p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3]
@@ -24,7 +24,7 @@ def multiply(p: Floats, q: Floats, out: Floats) -> None:
     out[0], out[1], out[2], out[3] = w, x, y, z
 
 
-@njit(cache=True)
+@kernel
 def from_rotation_vector(x: float, y: float, z: float, out: Floats) -> None:
     """Quaternion [4] of the rotation vector (x, y, z) [rad]; exact, series below 1e-4 rad."""
     angle2 = x * x + y * y + z * z
@@ -38,7 +38,7 @@ def from_rotation_vector(x: float, y: float, z: float, out: Floats) -> None:
     out[1], out[2], out[3] = scale * x, scale * y, scale * z
 
 
-@njit(cache=True)
+@kernel
 def normalise(q: Floats) -> None:
     """Scale `q` [4] to unit length in place, with w >= 0."""
     norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
@@ -47,7 +47,7 @@ def normalise(q: Floats) -> None:
         q[i] *= scale
 
 
-@njit(cache=True)
+@kernel
 def down_in_body(q: Floats, out: Floats) -> None:
     """Unit vector of earth's down in body axes [3]: the third row of the matrix of `q` [4]."""
     out[0] = 2.0 * (q[1] * q[3] - q[0] * q[2])
@@ -55,7 +55,7 @@ def down_in_body(q: Floats, out: Floats) -> None:
     out[2] = q[0] * q[0] - q[1] * q[1] - q[2] * q[2] + q[3] * q[3]
 
 
-@njit(cache=True)
+@kernel
 def matrix(q: Floats, out: Floats) -> None:
     """Direction cosine matrix [3, 3] of `q` [4]: v_ned = out @ v_body."""
     w, x, y, z = q[0], q[1], q[2], q[3]
@@ -70,7 +70,7 @@ def matrix(q: Floats, out: Floats) -> None:
     out[2, 2] = w * w - x * x - y * y + z * z
 
 
-@njit(cache=True)
+@kernel
 def from_euler(roll: float, pitch: float, yaw: float, out: Floats) -> None:
     """Quaternion [4] of roll, pitch, yaw [rad]."""
     cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
@@ -82,7 +82,7 @@ def from_euler(roll: float, pitch: float, yaw: float, out: Floats) -> None:
     out[3] = cr * cp * sy - sr * sp * cy
 
 
-@njit(cache=True)
+@kernel
 def to_euler(q: Floats, out: Floats) -> None:
     """Roll, pitch, yaw [rad] of `q` [4]; pitch is clamped to +-90 deg."""
     w, x, y, z = q[0], q[1], q[2], q[3]

@@ -4,9 +4,14 @@ Each part takes only its own class. Nothing here reads a file.
 """
 
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
-_STRICT = {"extra": "forbid"}
+from annotated_types import Ge, Gt, Le
+
+_STRICT = {"extra": "forbid", "allow_inf_nan": False}
+_Positive = Annotated[float, Gt(0.0)]
+_NotNegative = Annotated[float, Ge(0.0)]
+_Identity = Annotated[int, Ge(0), Le(255)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,8 +24,8 @@ class IntakeSettings:
     """
 
     __pydantic_config__: ClassVar = _STRICT
-    system: int = 0
-    component: int = 0
+    system: _Identity = 0
+    component: _Identity = 0
     imu_source: str = "auto"
     temperature_source: Literal["imu", "highres_imu"] = "imu"
 
@@ -34,13 +39,13 @@ class GateSettings:
     """
 
     __pydantic_config__: ClassVar = _STRICT
-    norm_m_s2: float = 0.5
-    rate_rad_s: float = 0.35
-    angular_acceleration_rad_s2: float = 2.0
-    innovation_sigma: float = 4.0
-    accel_range_m_s2: float = 156.0
-    gyro_range_rad_s: float = 34.9
-    smoothing_s: float = 0.1
+    norm_m_s2: _Positive = 0.5
+    rate_rad_s: _Positive = 0.35
+    angular_acceleration_rad_s2: _Positive = 2.0
+    innovation_sigma: _Positive = 4.0
+    accel_range_m_s2: _Positive = 156.0
+    gyro_range_rad_s: _Positive = 34.9
+    smoothing_s: _NotNegative = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,14 +53,14 @@ class FusionSettings:
     """Noise of the sensors and of what they are told about the world."""
 
     __pydantic_config__: ClassVar = _STRICT
-    gyro_noise_rad_s_rthz: float = 0.002
-    gyro_bias_walk_rad_s2_rthz: float = 2e-5
-    gyro_bias_sigma_rad_s: float = 0.02
-    accel_noise_m_s2: float = 0.5
-    alignment_s: float = 1.0
-    gap_s: float = 0.5
+    gyro_noise_rad_s_rthz: _Positive = 0.002
+    gyro_bias_walk_rad_s2_rthz: _Positive = 2e-5
+    gyro_bias_sigma_rad_s: _Positive = 0.02
+    accel_noise_m_s2: _Positive = 0.5
+    alignment_s: _Positive = 1.0
+    gap_s: _Positive = 0.5
     magnetometer: bool = True
-    declination_deg: float = 0.0
+    declination_deg: Annotated[float, Ge(-180.0), Le(180.0)] = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,13 +73,13 @@ class LinkSettings:
 
     __pydantic_config__: ClassVar = _STRICT
     uri: str = "udpin:127.0.0.1:14550"
-    system: int = 0
-    component: int = 191
-    imu_rate_hz: float = 200.0
-    temperature_rate_hz: float = 5.0
-    aiding_rate_hz: float = 10.0
+    system: _Identity = 0
+    component: _Identity = 191
+    imu_rate_hz: _Positive = 200.0
+    temperature_rate_hz: _NotNegative = 5.0
+    aiding_rate_hz: _NotNegative = 10.0
     signing_key: str = ""
-    signing_link: int = 1
+    signing_link: _Identity = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,9 +87,9 @@ class PublishSettings:
     """What is sent back to the autopilot and how often [Hz]; 0 switches a message off."""
 
     __pydantic_config__: ClassVar = _STRICT
-    attitude_rate_hz: float = 50.0
-    attitude_quaternion_rate_hz: float = 0.0
-    named_value_rate_hz: float = 0.0
+    attitude_rate_hz: _NotNegative = 50.0
+    attitude_quaternion_rate_hz: _NotNegative = 0.0
+    named_value_rate_hz: _NotNegative = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +98,8 @@ class RecorderSettings:
 
     __pydantic_config__: ClassVar = _STRICT
     directory: str = ""
-    rotate_mb: float = 100.0
-    limit_mb: float = 1000.0
+    rotate_mb: _NotNegative = 100.0
+    limit_mb: _NotNegative = 1000.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,10 +107,10 @@ class ViewerSettings:
     """The Rerun stream: loopback port (0 is off), optional .rrd file, bounded history."""
 
     __pydantic_config__: ClassVar = _STRICT
-    port: int = 0
+    port: Annotated[int, Ge(0), Le(65535)] = 0
     rrd: str = ""
-    memory_mb: float = 200.0
-    period_s: float = 0.1
+    memory_mb: _Positive = 200.0
+    period_s: _Positive = 0.1
 
 
 @dataclass(frozen=True, slots=True)

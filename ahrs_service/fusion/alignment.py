@@ -4,9 +4,9 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats, Record
 from ahrs_service.rotation import from_euler, matrix, to_euler
 
@@ -33,7 +33,7 @@ REST_BIAS_SIGMA_RAD_S: Final = 0.002
 """Of a bias averaged at rest over about a second [rad/s]."""
 
 
-@njit(cache=True)
+@kernel
 def start(state: Record, bias_sigma_rad_s: float) -> None:
     """Forget the attitude and begin to align; the gyro bias found so far is kept."""
     p = state["covariance"]
@@ -51,7 +51,7 @@ def start(state: Record, bias_sigma_rad_s: float) -> None:
     state["alignment_start_ns"] = state["time_ns"]
 
 
-@njit(cache=True)
+@kernel
 def first_attitude(state: Record, gyro: Floats, accel: Floats) -> None:
     """Set roll and pitch from one specific force [3] [m/s^2]; the heading is kept, 0 at first."""
     before = np.empty(3)
@@ -72,7 +72,7 @@ def first_attitude(state: Record, gyro: Floats, accel: Floats) -> None:
     state["aligned_samples"] = 1
 
 
-@njit(cache=True)
+@kernel
 def gather(state: Record, gyro: Floats, accel: Floats, duration_s: float) -> bool:
     """Add a sample to the alignment; return whether it is complete.
 
@@ -91,7 +91,7 @@ def gather(state: Record, gyro: Floats, accel: Floats, duration_s: float) -> boo
     return True
 
 
-@njit(cache=True)
+@kernel
 def _take_rest_bias(state: Record) -> None:
     """Take the mean rate for the bias if rate and force were those of a vehicle at rest."""
     count = state["aligned_samples"] - 1
@@ -112,7 +112,7 @@ def _take_rest_bias(state: Record) -> None:
         p[3 + i, 3 + i] = REST_BIAS_SIGMA_RAD_S**2
 
 
-@njit(cache=True)
+@kernel
 def bound_tilt(p: Floats) -> None:
     """Keep the attitude variances at what no knowledge at all means."""
     for axis in range(3):

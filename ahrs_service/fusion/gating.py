@@ -10,9 +10,8 @@ admits a_h up to sqrt(2 g eps), which is a tilt error of about sqrt(2 eps / g) r
 
 import math
 
-from numba import njit
-
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats, Gate
 
 _NORM = int(Gate.NORM)
@@ -21,7 +20,7 @@ _ANGULAR_ACCELERATION = int(Gate.ANGULAR_ACCELERATION)
 _INNOVATION = int(Gate.INNOVATION)
 
 
-@njit(cache=True)
+@kernel
 def motion_reasons(metrics: Floats, norm: float, rate: float, angular_acceleration: float) -> int:
     """Compare `metrics` [3] (force norm error, rate, angular acceleration) with their limits."""
     reasons = 0
@@ -34,7 +33,7 @@ def motion_reasons(metrics: Floats, norm: float, rate: float, angular_accelerati
     return reasons
 
 
-@njit(cache=True)
+@kernel
 def innovation_reason(tilt_sigmas: float, limit: float) -> int:
     """Compare the tilt innovation, in its own sigmas, with `limit`."""
     return 0 if tilt_sigmas < limit else _INNOVATION

@@ -7,9 +7,9 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 
 from ahrs_service.fusion.mekf import apply_correction, correct_axis
+from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats, Record
 from ahrs_service.rotation import from_rotation_vector, matrix, multiply, normalise
 
@@ -26,7 +26,7 @@ HEADING_SIGMA_RAD: Final = 0.2
 CORRELATION_S: Final = 1.0
 
 
-@njit(cache=True)
+@kernel
 def _azimuth_error(q: Floats, mag: Floats, declination_rad: float) -> float:
     """Error angle about down [rad] that explains the field [3] in body axes."""
     ned_from_body = np.empty((3, 3))
@@ -41,12 +41,12 @@ def _azimuth_error(q: Floats, mag: Floats, declination_rad: float) -> float:
     return math.atan2(math.sin(error), math.cos(error))
 
 
-@njit(cache=True)
+@kernel
 def _norm(mag: Floats) -> float:
     return math.sqrt(mag[0] * mag[0] + mag[1] * mag[1] + mag[2] * mag[2])
 
 
-@njit(cache=True)
+@kernel
 def first_heading(settings: Record, state: Record, mag: Floats) -> None:
     """Turn the aligned attitude to the field's azimuth, if there is a plausible field."""
     norm = _norm(mag)
@@ -63,7 +63,7 @@ def first_heading(settings: Record, state: Record, mag: Floats) -> None:
     state["covariance"][2, 2] = HEADING_SIGMA_RAD**2
 
 
-@njit(cache=True)
+@kernel
 def correct(settings: Record, state: Record, mag: Floats, dt_s: float) -> None:
     """Correct the heading by one field reading [3] [uT], NaN where there is none."""
     norm = _norm(mag)

@@ -8,14 +8,14 @@ tilt angle is measured alone and the update is two scalar ones.
 import math
 
 import numpy as np
-from numba import njit
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats
 from ahrs_service.rotation import from_rotation_vector, multiply, normalise
 
 
-@njit(cache=True)
+@kernel
 def tilt_from_force(force_ned: Floats, tilt: Floats) -> None:
     """Error angle about north and east [rad] that explains `force_ned` [3] by gravity alone.
 
@@ -32,7 +32,7 @@ def tilt_from_force(force_ned: Floats, tilt: Floats) -> None:
     tilt[1] = scale * north
 
 
-@njit(cache=True)
+@kernel
 def correct_axis(
     p: Floats, correction: Floats, axis: int, measured_rad: float, variance: float
 ) -> None:
@@ -49,7 +49,7 @@ def correct_axis(
             p[j, i] = p[i, j]
 
 
-@njit(cache=True)
+@kernel
 def apply_correction(q: Floats, gyro_bias: Floats, force_ned: Floats, correction: Floats) -> None:
     """Move the correction [6] into `q` [4], `gyro_bias` [3] and the averaged `force_ned` [3]."""
     turn = np.empty(4)

@@ -3,8 +3,8 @@
 from typing import Final
 
 import numpy as np
-from numba import njit
 
+from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats
 from ahrs_service.rotation import from_rotation_vector, multiply, normalise
 
@@ -12,7 +12,7 @@ ERROR_STATES: Final = 6
 """Error angle about north, east, down [rad], then gyro bias about x, y, z [rad/s]."""
 
 
-@njit(cache=True)
+@kernel
 def rotate(q: Floats, rate_before: Floats, rate: Floats, dt_s: float) -> None:
     """Turn `q` [4] by the body rates at both ends of an interval [rad/s].
 
@@ -36,7 +36,7 @@ def rotate(q: Floats, rate_before: Floats, rate: Floats, dt_s: float) -> None:
     normalise(q)
 
 
-@njit(cache=True)
+@kernel
 def grow_covariance(
     p: Floats, ned_from_body: Floats, dt_s: float, angle_variance: float, bias_variance: float
 ) -> None:

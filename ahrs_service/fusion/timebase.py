@@ -5,8 +5,7 @@ Time is data: nothing here reads a clock, so a replay sees what the live service
 
 from typing import Final
 
-from numba import njit
-
+from ahrs_service.kernel import kernel
 from ahrs_service.records import Flag, Record
 
 TIME_FIELDS: Final = [
@@ -39,7 +38,7 @@ _INTERVAL_WEIGHT = 0.05
 _GAP_INTERVALS = 5.0
 
 
-@njit(cache=True)
+@kernel
 def _follow_interval(state: Record, dt_s: float) -> None:
     """Follow the usual step; one long gap moves it little."""
     if state["interval_s"] == 0.0:
@@ -49,7 +48,7 @@ def _follow_interval(state: Record, dt_s: float) -> None:
         state["interval_s"] += _INTERVAL_WEIGHT * (limited - state["interval_s"])
 
 
-@njit(cache=True)
+@kernel
 def _step_back(state: Record, time_ns: int) -> int:
     """Judge a stamp before the newest one: late samples come singly, a stepped clock goes on.
 
@@ -67,7 +66,7 @@ def _step_back(state: Record, time_ns: int) -> int:
     return _CLOCK_JUMP
 
 
-@njit(cache=True)
+@kernel
 def advance(state: Record, time_ns: int, gap_s: float) -> tuple[float, int]:
     """Take the stamp of a sample; return the step [s] and what was found (records.Flag).
 

@@ -1,0 +1,51 @@
+"""The decorator of every compiled function, and where the machine code is kept.
+
+numba's cache notices a change in a kernel's own file, not in one that it calls. Here the cache
+folder carries a hash of all kernel sources, so a changed callee is never served stale.
+"""
+
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final, TypeVar, cast
+
+import numba
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+_ROOT: Final = Path(__file__).resolve().parent
+_MARK: Final = b"ahrs_service.kernel import kernel"
+_CONSTANTS: Final = ("constants.py", "records.py", "kernel.py")
+
+
+def _kernel_sources() -> list[Path]:
+    """List the files that hold kernels or the constants compiled into them."""
+    files = [_ROOT / name for name in _CONSTANTS]
+    for folder in (_ROOT, _ROOT.parent / "links"):
+        files += [path for path in sorted(folder.rglob("*.py")) if _MARK in path.read_bytes()]
+    return files
+
+
+def _cache_folder() -> Path:
+    """Return the folder for this version of the kernels: beside the code, else in the home."""
+    digest = hashlib.sha256()
+    for path in _kernel_sources():
+        digest.update(path.read_bytes())
+    name = f"kernels-{digest.hexdigest()[:16]}"
+    beside = _ROOT / "__pycache__"
+    if os.access(beside if beside.is_dir() else _ROOT, os.W_OK):
+        return beside / name
+    home = os.environ.get("CACHE_DIRECTORY") or os.environ.get("XDG_CACHE_HOME")
+    return Path(home or Path.home() / ".cache") / "ahrs-service" / name
+
+
+if not os.environ.get("NUMBA_CACHE_DIR"):
+    numba.config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]
+
+
+def kernel(function: _Function) -> _Function:
+    """Compile `function` on first call and cache it: strict IEEE, one thread, no fast-math.
+
+    Undecorated, or with NUMBA_DISABLE_JIT=1, it gives the same bytes.
+    """
+    return cast(_Function, numba.njit(cache=True)(function))
