@@ -1,0 +1,179 @@
+"""ArduPilot DataFlash (.bin) recordings."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ahrs_service.records import READING_DTYPE, ImuSource, Kind, Rows, empty
+from ahrs_service.rotation import quaternion_columns
+from links.dataflash_tables import DataFlashFile, read_tables
+from links.errors import RecordingError
+from links.recording import AttitudeReference, Recording
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+_AUTOPILOT_ARDUPILOT: Final = 3
+_UT_PER_MILLIGAUSS: Final = 0.1
+_GYRO: Final = ("GyrX", "GyrY", "GyrZ")
+_ACCEL: Final = ("AccX", "AccY", "AccZ")
+_TEMPERATURES: Final = ("T", "Temp")
+_INSTANCES: Final = ("I", "C")
+_TIMES: Final = {"TimeUS": 1000, "TimeMS": 1_000_000}
+_VELOCITIES: Final = ("XKF1", "NKF1", "EKF1")
+_AIRSPEEDS: Final = (("ARSP", "Airspeed"), ("NTUN", "Arspd"))
+_REFERENCES: Final = ("SIM", "ATT", "AHR2", "XKF1", "NKF1", "EKF1")
+
+
+def read_dataflash(path: str | Path, progress: Callable[[float], None] | None = None) -> Recording:
+    """Read a DataFlash log: the first IMU, aiding, and the autopilot's attitudes.
+
+    The log has one clock, so `received_ns` equals `time_ns`; readings are in the order of the
+    file. Temperature is the IMU's own (`T` or `Temp`, 0 is none). SIM, where a simulator wrote
+    it, is truth. `progress` is called with the share read, 0 to 1.
+    """
+    path = Path(path)
+    log = read_tables(path, progress)
+    offsets, imu = _imu_readings(path, log)
+    _attach_magnetometer(log, offsets, imu)
+    parts = [(offsets, imu), _airspeed_readings(log), _velocity_readings(log)]
+    order = np.argsort(np.concatenate([at for at, _ in parts]), kind="stable")
+    readings = np.concatenate([rows for _, rows in parts])[order]
+    heartbeat = _rows(readings["time_ns"][:1], Kind.HEARTBEAT)
+    heartbeat["autopilot"] = _AUTOPILOT_ARDUPILOT
+    return Recording(
+        path=path,
+        format="DataFlash",
+        readings=np.concatenate([heartbeat, readings]),
+        references=_references(log),
+        message_counts=log.counts(),
+        damaged=log.damaged,
+        notes=_notes(log, imu),
+    )
+
+
+class _Table:
+    """One instance's records of a name, with their offsets and times."""
+
+    def __init__(self, log: DataFlashFile, name: str, time_field: str) -> None:
+        offsets = log.offsets_of(name)
+        rows = log.table(name)
+        for field in _INSTANCES:
+            if field in (rows.dtype.names or ()):
+                first = rows[field] == 0
+                offsets, rows = offsets[first], rows[first]
+                break
+        self._log, self._name, self._rows = log, name, rows
+        self.offsets = offsets
+        self.fields = rows.dtype.names or ()
+        self.time_ns: Integers = rows[time_field].astype(np.int64) * _TIMES[time_field]
+
+    def column(self, field: str) -> Floats:
+        return self._log.column(self._rows, self._name, field)
+
+    def columns(self, fields: tuple[str, ...]) -> Floats:
+        return np.stack([self.column(field) for field in fields], axis=-1)
+
+
+def _table(log: DataFlashFile, name: str, fields: tuple[str, ...]) -> _Table | None:
+    """Return the table of `name` if it has records, a time and all of `fields`."""
+    if not len(log.offsets_of(name)):
+        return None
+    present = log.layouts[name].dtype.names or ()
+    time_field = next((field for field in _TIMES if field in present), None)
+    if time_field is None or set(fields) - set(present):
+        return None
+    table = _Table(log, name, time_field)
+    return table if len(table.offsets) else None
+
+
+def _rows(time_ns: Integers, kind: Kind) -> Rows:
+    rows = empty(READING_DTYPE, len(time_ns))
+    rows["time_ns"] = time_ns
+    rows["received_ns"] = time_ns
+    rows["kind"] = kind
+    rows["system"] = 1
+    rows["component"] = 1
+    return rows
+
+
+def _imu_readings(path: Path, log: DataFlashFile) -> tuple[Integers, Rows]:
+    table = _table(log, "IMU", _GYRO + _ACCEL)
+    if table is None:
+        present = ", ".join(list(log.counts())[:12]) or "no records"
+        raise RecordingError(
+            f"{path}: the DataFlash log has no IMU records with time, gyro and accelerometer; "
+            f"it has {present}; log with the IMU bit of LOG_BITMASK set"
+        )
+    rows = _rows(table.time_ns, Kind.IMU)
+    rows["source"] = ImuSource.DATAFLASH
+    rows["gyro_rad_s"] = table.columns(_GYRO)
+    rows["accel_m_s2"] = table.columns(_ACCEL)
+    for field in _TEMPERATURES:
+        if field in table.fields:
+            values = table.column(field)
+            rows["temperature_degc"] = np.where(values != 0.0, values, np.nan)
+            break
+    return table.offsets, rows
+
+
+def _attach_magnetometer(log: DataFlashFile, offsets: Integers, imu: Rows) -> None:
+    """Put each field measured on the next IMU row of the file; later values win."""
+    fields = ("MagX", "MagY", "MagZ")
+    table = _table(log, "MAG", fields)
+    if table is None:
+        return
+    positions = np.searchsorted(offsets, table.offsets)
+    inside = positions < len(imu)
+    imu["mag_ut"][positions[inside]] = table.columns(fields)[inside] * _UT_PER_MILLIGAUSS
+
+
+def _airspeed_readings(log: DataFlashFile) -> tuple[Integers, Rows]:
+    for name, field in _AIRSPEEDS:
+        table = _table(log, name, (field,))
+        if table is not None:
+            rows = _rows(table.time_ns, Kind.AIRSPEED)
+            rows["airspeed_m_s"] = table.column(field)
+            return table.offsets, rows
+    return np.zeros(0, np.int64), empty(READING_DTYPE, 0)
+
+
+def _velocity_readings(log: DataFlashFile) -> tuple[Integers, Rows]:
+    fields = ("VN", "VE", "VD")
+    for name in _VELOCITIES:
+        table = _table(log, name, fields)
+        if table is not None:
+            rows = _rows(table.time_ns, Kind.VELOCITY)
+            rows["velocity_ned_m_s"] = table.columns(fields)
+            return table.offsets, rows
+    return np.zeros(0, np.int64), empty(READING_DTYPE, 0)
+
+
+def _references(log: DataFlashFile) -> tuple[AttitudeReference, ...]:
+    found = []
+    for name in _REFERENCES:
+        table = _table(log, name, ("Roll", "Pitch", "Yaw"))
+        if table is None:
+            continue
+        time_ns = table.time_ns
+        q = quaternion_columns(np.radians(table.columns(("Roll", "Pitch", "Yaw"))))
+        good = np.flatnonzero(np.isfinite(q).all(axis=1))
+        good = good[np.argsort(time_ns[good], kind="stable")]
+        found.append(AttitudeReference(name, time_ns[good], q[good], is_truth=name == "SIM"))
+    return tuple(found)
+
+
+def _notes(log: DataFlashFile, imu: Rows) -> tuple[str, ...]:
+    notes = []
+    if np.isfinite(imu["temperature_degc"]).any():
+        notes.append("IMU temperature: the first IMU's own")
+    else:
+        notes.append("IMU temperature: none in the log")
+    counts = log.counts()
+    others = [name for name in ("IMU2", "IMU3", "ISBD") if counts.get(name)]
+    if others:
+        notes.append(f"also in the log and not used: {', '.join(others)}")
+    return tuple(notes)
