@@ -1,0 +1,67 @@
+"""The command `ahrs-service`: picks a program, runs it, turns errors into one clear line."""
+
+import argparse
+import importlib
+import sys
+from typing import Final
+
+from rich.console import Console
+
+from ahrs_service.app.config_file import ConfigError
+from links.errors import LinkError
+
+COMMANDS: Final = {
+    "demo": ("ahrs_service.app.demo", "fly a simulated aircraft and watch the service work"),
+    "run": ("ahrs_service.app.run", "serve attitude on a MAVLink link"),
+    "replay": ("ahrs_service.app.replay", "run recordings (.tlog, .ulg, .bin) through the service"),
+    "play": ("ahrs_service.app.play", "play a recording over a link in real time"),
+    "simulate": ("ahrs_service.app.simulate", "fly the simulated autopilot over a link"),
+}
+
+EXIT_FAILED: Final = 1
+EXIT_USAGE: Final = 2
+EXIT_INTERRUPTED: Final = 130
+
+
+def _usage() -> argparse.ArgumentParser:
+    lines = [f"  {name:<10} {text}" for name, (_, text) in COMMANDS.items()]
+    parser = argparse.ArgumentParser(
+        prog="ahrs-service",
+        description="Attitude and heading reference for small UAVs, over MAVLink.",
+        epilog="commands:\n"
+        + "\n".join(lines)
+        + "\n\nbegin with:  ahrs-service demo\nmore on one:  ahrs-service COMMAND --help"
+        + "\n\nexit codes: 0 done, 1 failed, 2 wrong usage or settings, 130 interrupted",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("command", choices=list(COMMANDS), metavar="COMMAND")
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; return the exit code."""
+    words = sys.argv[1:] if arguments is None else arguments
+    command = _usage().parse_args(words[:1]).command
+    module_name, text = COMMANDS[command]
+    module = importlib.import_module(module_name)
+    parser = argparse.ArgumentParser(
+        prog=f"ahrs-service {command}",
+        description=module.__doc__ or text,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    module.add_arguments(parser)
+    errors = Console(stderr=True, soft_wrap=True, highlight=False)
+    try:
+        return int(module.run(parser.parse_args(words[1:])))
+    except ConfigError as error:
+        errors.print(f"[bold red]error:[/] {error}", markup=True)
+        return EXIT_USAGE
+    except LinkError as error:
+        errors.print(f"[bold red]error:[/] {error}", markup=True)
+        return EXIT_FAILED
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,125 @@
+"""Intake and pipeline with their states: readings in, estimates out, one at a time or a million.
+
+The live service and the replay both call `take`; which samples arrive in which call makes no
+difference to a single byte of the estimates.
+"""
+
+import hashlib
+from typing import Final
+
+import numpy as np
+
+from ahrs_service import intake, pipeline
+from ahrs_service.records import (
+    ESTIMATE_DTYPE,
+    READING_DTYPE,
+    SAMPLE_DTYPE,
+    Integers,
+    Kind,
+    Rows,
+    empty,
+)
+from ahrs_service.sensor.parameters import Calibration, coefficients
+from ahrs_service.settings import Settings
+
+_STATE_MARK: Final = hashlib.sha256(
+    repr((intake.STATE_DTYPE.descr, pipeline.STATE_DTYPE.descr)).encode()
+).digest()[:8]
+
+
+class StateError(ValueError):
+    """Saved state bytes that this version cannot take."""
+
+
+class Estimator:
+    """The whole estimator, from readings to estimates.
+
+    `digest` is the SHA-256 over the bytes of every estimate so far: equal digests of a live
+    session and of its replay mean equal estimates, bit for bit.
+    """
+
+    def __init__(self, settings: Settings, calibration: Calibration | None = None) -> None:
+        self._coefficients = coefficients(calibration or Calibration.ideal())
+        self._intake_state = intake.new_state()
+        self._pipeline_state = pipeline.new_state()
+        self.digest = hashlib.sha256()
+        self._reserve(1)
+        self.configure(settings)
+
+    def configure(self, settings: Settings) -> None:
+        """Take new settings from the next sample on."""
+        self._intake_parameters = intake.parameters(settings.intake)
+        self._pipeline_parameters = pipeline.parameters(settings)
+
+    def _reserve(self, count: int) -> None:
+        self._samples = empty(SAMPLE_DTYPE, count)
+        self._estimates = empty(ESTIMATE_DTYPE, count)
+        self._positions = np.zeros(count, np.int64)
+
+    def take(self, readings: Rows) -> Rows:
+        """Take `readings` [N] in order; return the estimates [M <= N], one per sample.
+
+        The result is a view that the next call overwrites; `positions` tells for each estimate
+        which reading it came of.
+        """
+        if len(readings) > len(self._samples):
+            self._reserve(len(readings))
+        count = intake.select(
+            self._intake_parameters, self._intake_state, readings, self._samples, self._positions
+        )
+        estimates = self._estimates[:count]
+        self._count = count
+        if count:
+            pipeline.batch(
+                self._pipeline_parameters,
+                self._coefficients,
+                self._pipeline_state,
+                self._samples[:count],
+                estimates,
+            )
+            self.digest.update(estimates.data)
+        return estimates
+
+    @property
+    def positions(self) -> Integers:
+        """Index of the reading behind each estimate of the last `take` [M]."""
+        return self._positions[: self._count]
+
+    @property
+    def state(self) -> Rows:
+        """The pipeline's state [1]: counters of gaps and jumps, bias, covariance."""
+        return self._pipeline_state
+
+    @property
+    def intake_state(self) -> Rows:
+        """The intake's state [1]: the adopted vehicle, the source in use, rates per source."""
+        return self._intake_state
+
+    def save(self) -> bytes:
+        """Return both states as bytes."""
+        return _STATE_MARK + self._intake_state.tobytes() + self._pipeline_state.tobytes()
+
+    def restore(self, saved: bytes) -> None:
+        """Continue from `save`; StateError if the bytes are of another version or cut."""
+        expected = len(_STATE_MARK) + intake.STATE_DTYPE.itemsize + pipeline.STATE_DTYPE.itemsize
+        if len(saved) != expected or not saved.startswith(_STATE_MARK):
+            raise StateError(
+                f"saved state has {len(saved)} bytes of another layout, this version needs "
+                f"{expected}; start from the beginning of the recording instead"
+            )
+        cut = len(_STATE_MARK) + intake.STATE_DTYPE.itemsize
+        self._intake_state = np.frombuffer(saved[len(_STATE_MARK) : cut], intake.STATE_DTYPE).copy()
+        self._pipeline_state = np.frombuffer(saved[cut:], pipeline.STATE_DTYPE).copy()
+
+
+def compile_kernels(settings: Settings) -> None:
+    """Run every kernel once, so that none compiles while a vehicle waits."""
+    estimator = Estimator(settings)
+    readings = empty(READING_DTYPE, 4)
+    readings["kind"] = Kind.IMU
+    readings["source"] = readings["system"] = readings["component"] = 1
+    readings[0]["kind"] = Kind.HEARTBEAT
+    readings["time_ns"] = np.arange(4) * 10_000_000
+    readings["gyro_rad_s"] = 0.0
+    readings["accel_m_s2"] = (0.0, 0.0, -9.8)
+    estimator.take(readings)

@@ -1,0 +1,77 @@
+"""What the service says about itself: one state, told when it changes."""
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Final
+
+from ahrs_service.records import Flag, Phase, Record
+
+IMU_SILENCE_S: Final = 0.5
+"""Without a sample for this long the attitude is not to be trusted [s]."""
+FLAG_HOLD_S: Final = 2.0
+"""A fault stays in the state for this long after it was last seen [s]."""
+
+_TOLD: Final = {
+    Flag.GAP: "gap in the IMU data",
+    Flag.CLOCK_JUMP: "the autopilot's clock jumped; aligning anew",
+    Flag.NOT_FINITE: "IMU values are not finite",
+    Flag.SATURATED: "IMU out of its range",
+    Flag.SPIKE: "gyro spike held back",
+    Flag.SOURCE_CHANGED: "IMU source changed; aligning anew",
+    Flag.TEMPERATURE_STALE: "IMU temperature stale or frozen",
+    Flag.TEMPERATURE_OUT_OF_RANGE: "IMU temperature outside the calibrated range",
+    Flag.LOW_RATE: "IMU below 20 Hz: turns between samples are lost",
+}
+
+
+class Health(Enum):
+    """The state of the service."""
+
+    NO_VEHICLE = "no vehicle heard"
+    NO_IMU = "no IMU data"
+    ALIGNING = "aligning"
+    GOOD = "good"
+    DEGRADED = "degraded"
+
+
+@dataclass(slots=True)
+class HealthMonitor:
+    """Follows estimates and silence; `update` returns a sentence when the state changed."""
+
+    state: Health = Health.NO_VEHICLE
+    reasons: tuple[str, ...] = ()
+    _last_sample_s: float = -1e9
+    _phase: int = 0
+    _seen_s: dict[Flag, float] = field(default_factory=dict)
+
+    def sample(self, estimate: Record, now_s: float) -> None:
+        """Note one estimate; the hot path, so only the rare flags cost."""
+        self._last_sample_s = now_s
+        self._phase = int(estimate["phase"])
+        flags = int(estimate["flags"])
+        if flags:
+            for flag in _TOLD:
+                if flags & flag:
+                    self._seen_s[flag] = now_s
+
+    def update(self, vehicle_heard: bool, now_s: float) -> str:
+        """Return what changed since the last call, or an empty string."""
+        reasons = tuple(
+            text
+            for flag, text in _TOLD.items()
+            if now_s - self._seen_s.get(flag, -1e9) < FLAG_HOLD_S
+        )
+        state = self._judge(vehicle_heard, now_s, reasons)
+        if state is self.state and reasons == self.reasons:
+            return ""
+        self.state, self.reasons = state, reasons
+        return "; ".join((state.value, *reasons))
+
+    def _judge(self, vehicle_heard: bool, now_s: float, reasons: tuple[str, ...]) -> Health:
+        if not vehicle_heard:
+            return Health.NO_VEHICLE
+        if now_s - self._last_sample_s > IMU_SILENCE_S:
+            return Health.NO_IMU
+        if self._phase != Phase.RUNNING:
+            return Health.ALIGNING
+        return Health.DEGRADED if reasons else Health.GOOD

@@ -1,0 +1,80 @@
+"""Settings and estimator state inside a .tlog, as TUNNEL messages of our own component.
+
+Every file of a recording begins with the settings in force and, after a rotation, the state; a
+change of settings is marked where it happened. A replay of any one file then starts and goes on
+as the live service did, and other readers of the file skip the messages.
+"""
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, Final
+
+import numpy as np
+
+from ahrs_service.records import Rows
+from links.mavlink_codec import dialect
+
+
+class MarkKind(IntEnum):
+    """Payload types from the range that MAVLink leaves to private use (32768 and up)."""
+
+    SETTINGS = 0xA501
+    STATE = 0xA502
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """One mark: what it is, its bytes, and the frame of the file that completes it."""
+
+    kind: MarkKind
+    data: bytes
+    frame: int
+
+
+_PART: Final = struct.Struct("<HH")
+_PAYLOAD: Final = 128
+_PART_BYTES: Final = _PAYLOAD - _PART.size
+
+
+def mark_messages(kind: MarkKind, data: bytes) -> list[Any]:
+    """Return the TUNNEL messages that carry `data`: part number, part count, up to 124 bytes."""
+    parts = [data[i : i + _PART_BYTES] for i in range(0, len(data), _PART_BYTES)]
+    messages = []
+    for index, part in enumerate(parts):
+        payload = _PART.pack(index, len(parts)) + part
+        messages.append(
+            dialect.MAVLink_tunnel_message(
+                0, 0, int(kind), len(payload), list(payload.ljust(_PAYLOAD, b"\0"))
+            )
+        )
+    return messages
+
+
+def read_marks(tables: dict[tuple[int, int, str], Rows]) -> Iterator[Mark]:
+    """Yield the marks of a recording's message tables, in file order.
+
+    An incomplete one, as at the end of a cut file, is passed over.
+    """
+    rows = [table for (_, _, name), table in tables.items() if name == "TUNNEL"]
+    if not rows:
+        return
+    table = np.concatenate(rows)
+    pending: dict[int, list[bytes]] = {}
+    for row in table[np.argsort(table["frame"], kind="stable")]:
+        kind = int(row["payload_type"])
+        length = int(row["payload_length"])
+        if kind not in iter(MarkKind) or not _PART.size <= length <= _PAYLOAD:
+            continue
+        payload = row["payload"][:length].tobytes()
+        index, count = _PART.unpack_from(payload)
+        if index == 0:
+            pending[kind] = []
+        parts = pending.get(kind, [])
+        if index != len(parts):
+            continue
+        parts.append(payload[_PART.size :])
+        if len(parts) == count:
+            yield Mark(MarkKind(kind), b"".join(parts), int(row["frame"]))
+            pending.pop(kind)
