@@ -36,8 +36,9 @@ SCAN_DTYPE: Final = np.dtype(
         ("bad_stamp", "i8"),
     ]
 )
-"""What the scanner remembers between calls; `boundary`, `covered` and `last_end` are offsets in the
-bytes given, to be moved with them (`rebase`)."""
+"""What the scanner remembers between calls [1]: `boundary` where the next frame is expected and
+`covered` where the last frame of unknown id ends, both from the start of the data; the last frame's
+end and stamp in a tlog; and the counts."""
 
 STAMP_BYTES: Final = 8
 SIGNATURE_BYTES: Final = 13
@@ -176,15 +177,16 @@ def _accept(
 
 @njit(cache=True)
 def scan_stream(
-    data: Bytes, holds_tail: bool, crc_extra: npt.NDArray[np.int16], state: Record, frames: Rows
+    data: Bytes, holds_tail: bool, crc_extra: npt.NDArray[np.int16], states: Rows, frames: Rows
 ) -> tuple[int, int]:
-    """Find frames in data from state["boundary"] on; return (frames found, bytes done with).
+    """Find frames in `data`; return (frames found, bytes done with): the next data begins there.
 
     Any byte may begin a frame: only a right checksum lets the scan step over more than one
     byte, so a forged length swallows nothing. `holds_tail` stops at what may be the beginning of a
-    frame whose end is yet to come. `crc_extra` [id] is -1 where the id is unknown.
+    frame whose end is yet to come. `crc_extra` [id] is -1 where the id is unknown; `states` [1].
     """
-    position = state["last_end"]
+    state = states[0]
+    position = 0
     found = 0
     while position < len(data) and found < len(frames):
         verdict, length, msgid = _inspect(data, position, crc_extra)
@@ -196,7 +198,7 @@ def scan_stream(
         if verdict == _INCOMPLETE and holds_tail:
             break
         if position == state["boundary"] and verdict in (_BAD_CRC, _UNKNOWN):
-            # Only a hint for counting the next one: its bytes are still searched.
+            # Where the next frame is expected, for the counts alone: these bytes are searched too.
             state["boundary"] = position + length
             if verdict == _BAD_CRC:
                 state["bad_crc"] += 1
@@ -207,7 +209,8 @@ def scan_stream(
             state["garbage_bytes"] += 1
         position += 1
         state["boundary"] = max(state["boundary"], position)
-    state["last_end"] = position
+    state["boundary"] = max(state["boundary"] - position, 0)
+    state["covered"] = max(state["covered"] - position, 0)
     return found, position
 
 
@@ -247,22 +250,22 @@ def _take_stamped(
 
 @njit(cache=True)
 def scan_tlog(
-    data: Bytes, position: int, crc_extra: npt.NDArray[np.int16], state: Record, frames: Rows
+    data: Bytes, position: int, crc_extra: npt.NDArray[np.int16], states: Rows, frames: Rows
 ) -> tuple[int, int]:
     """Find stamped frames in data[position:]; return (frames found, where to go on).
 
     Tries the regular place, 8 bytes after the last frame, then every byte. A frame of unknown id is
     taken when it sits between plausible neighbours.
     """
+    state = states[0]
     found = 0
     while position < len(data) and found < len(frames):
         row = frames[found]
-        if position == state["boundary"] and _take_stamped(
-            data, position + STAMP_BYTES, True, crc_extra, state, row
-        ):
-            found += 1
-            position = state["last_end"]
-        elif _take_stamped(data, position, False, crc_extra, state, row):
+        regular = position + STAMP_BYTES
+        if (
+            position == state["boundary"]
+            and _take_stamped(data, regular, True, crc_extra, state, row)
+        ) or _take_stamped(data, position, False, crc_extra, state, row):
             found += 1
             position = state["last_end"]
         else:
@@ -272,7 +275,13 @@ def scan_tlog(
     return found, position
 
 
-def rebase(state: Record, offset: int) -> None:
-    """Move the state's offsets when `offset` bytes are dropped in front of the data."""
-    for name in ("boundary", "covered", "last_end"):
-        state[name] = max(int(state[name]) - offset, 0)
+@njit(cache=True)
+def flip_in_checksum(flip: int, bytes_after: int) -> int:
+    """Return by what the checksum changes when a byte is xored with `flip`.
+
+    `bytes_after` are those the checksum takes after it, CRC_EXTRA included.
+    """
+    change = int(_CRC[flip & 0xFF])
+    for _ in range(bytes_after):
+        change = (change >> 8) ^ int(_CRC[change & 0xFF])
+    return change

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from pymavlink.dialects.v20 import all as dialect
 
-from links.frames import FRAME_DTYPE, MARKER_V1, SCAN_DTYPE, SIGNED, rebase, scan_stream
+from links.frames import FRAME_DTYPE, MARKER_V1, SCAN_DTYPE, SIGNED, scan_stream
 
 __all__ = ["CRC_EXTRA", "Decoder", "Encoder", "Signer", "decode_frame", "dialect"]
 
@@ -56,7 +56,7 @@ class Encoder:
         return frame if self._signer is None else self._signer.sign(frame)
 
 
-Reader = Callable[[tuple[Any, ...]], list[Any]]
+Reader = Callable[[tuple[Any, ...]], Any]
 
 
 def _field_reader(message: Any) -> Reader:
@@ -73,7 +73,7 @@ def _field_reader(message: Any) -> Reader:
         if len(slots) == 1:
             return list
         pick = itemgetter(*message.orders)
-        return lambda values: pick(values)
+        return pick
 
     def read(values: tuple[Any, ...]) -> list[Any]:
         fields: list[Any] = []
@@ -160,21 +160,22 @@ class Decoder:
     def feed(self, data: bytes) -> list[tuple[Any, bytes]]:
         """Return the messages that end in `data`, each with its frame as received."""
         buffer = self._tail + data if self._tail else bytes(data)
-        array = np.frombuffer(buffer, np.uint8)
-        state = self._scan[0]
         messages: list[tuple[Any, bytes]] = []
         while True:
-            count, position = scan_stream(array, not self._datagrams, CRC_EXTRA, state, self._rows)
+            array = np.frombuffer(buffer, np.uint8)
+            count, position = scan_stream(
+                array, not self._datagrams, CRC_EXTRA, self._scan, self._rows
+            )
             for offset, _, _, length, _, _ in self._rows[:count].tolist():
                 frame = buffer[offset : offset + length]
                 if self._signer is None or self._signer.accept(frame):
                     messages.append((decode_frame(frame, self._signer is not None), frame))
                 else:
                     self._bad_signature += 1
+            buffer = buffer[position:]
             if count < _SCAN_ROWS:
                 break
-        self._tail = buffer[position:]
+        self._tail = buffer
         if self._datagrams:
-            state["boundary"] = state["covered"] = position
-        rebase(state, position)
+            self._scan["boundary"] = self._scan["covered"] = 0
         return messages
