@@ -46,13 +46,12 @@ _TRIAD: Final = [
     ("inverse", "f8", (3, 3)),
     ("bias", "f8", 3),
     ("temperature_degc", "f8", NODES),
-    ("a", "f8", (NODES, 3)),
-    ("b", "f8", (NODES, 3)),
-    ("c", "f8", (NODES, 3)),
+    ("drift", "f8", (3, NODES, 3)),
     ("nodes", "i8"),
 ]
 COEFFICIENTS_DTYPE: Final[np.dtype[Any]] = np.dtype([("gyro", _TRIAD), ("accel", _TRIAD)])
-"""What the kernels of compensation and forward read: per triad K, K^-1, B and the nodes."""
+"""What the kernels of compensation and forward read: per triad K, K^-1, B, the nodes
+and `drift` [power of N, node, axis]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,8 +130,9 @@ def coefficients(calibration: Calibration) -> Rows:
         row["inverse"] = np.linalg.inv(np.array(triad.matrix))
         row["bias"] = triad.bias
         row["nodes"] = count
-        for part in ("temperature_degc", "a", "b", "c") if count else ():
-            row[part][0, :count] = getattr(triad, part)
+        row["temperature_degc"][0, :count] = triad.temperature_degc
+        for power, part in enumerate((triad.c, triad.b, triad.a) if count else ()):
+            row["drift"][0, power, :count] = part
     return rows
 
 
