@@ -15,3 +15,7 @@ class LinkOpenError(LinkError):
 
 class RecordingError(LinkError):
     """A recording that cannot be read, or holds no IMU."""
+
+
+class SigningError(LinkError):
+    """A signing key that cannot be used."""
