@@ -38,6 +38,8 @@ GAP_RATE_SIGMA_RAD_S: Final = 0.5
 """What a small UAV may have turned, per second that no sample came [rad/s]."""
 ACCEL_CORRELATION_S: Final = 1.0
 """Manoeuvre accelerations last about this long: closer samples are not independent [s]."""
+DOUBT_RAD_RTS: Final = 0.05
+"""How fast the tilt variance grows while only the innovation speaks against it [rad/sqrt(s)]."""
 SPIKE_RATE_RAD_S: Final = 10.0
 """No airframe changes its rate by this much between two samples [rad/s]."""
 
@@ -206,16 +208,22 @@ def _correct_tilt(settings: Record, state: Record, dt_s: float, flags: int, out:
         settings["gate_norm_m_s2"],
         settings["gate_rate_rad_s"],
         settings["gate_angular_acceleration_rad_s2"],
-    ) | gating.innovation_reason(sigmas, settings["gate_innovation_sigma"])
+    )
     if flags & _SATURATED:
         reasons |= _SATURATION
     if flags & _ACCEL_MISSING:
         reasons |= _STALE
+    if reasons == 0:
+        reasons = gating.innovation_reason(sigmas, settings["gate_innovation_sigma"])
+        if reasons != 0 and state["phase"] == _RUNNING:
+            # Steady motion that contradicts the attitude: sooner or later the attitude is wrong.
+            p[0, 0] += DOUBT_RAD_RTS**2 * dt_s
+            p[1, 1] += DOUBT_RAD_RTS**2 * dt_s
     usable = flags & (_SATURATED | _ACCEL_MISSING) == 0
     if reasons == 0 or (state["phase"] == _ALIGNING and usable):
-        variance = sigma2 * max(1.0, ACCEL_CORRELATION_S / dt_s)
         if state["phase"] == _ALIGNING:
-            variance = sigma2
+            sigma2 += (metrics[0] / STANDARD_GRAVITY_M_S2) ** 2
+        variance = sigma2 * max(1.0, ACCEL_CORRELATION_S / dt_s)
         mekf.correct_axis(p, correction, 0, tilt[0], variance)
         mekf.correct_axis(p, correction, 1, tilt[1], variance)
         mekf.apply_correction(

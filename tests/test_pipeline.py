@@ -200,7 +200,7 @@ def test_a_gap_widens_the_uncertainty_and_keeps_the_heading():
     samples["time_ns"][1000:] += 2_000_000_000
     estimates = run(samples)
     tilt_sigma = estimates["attitude_sigma_rad"][:, 0]
-    assert tilt_sigma[1000] > 3 * tilt_sigma[999]
+    assert tilt_sigma[1000] > 2 * tilt_sigma[999]
     assert tilt_sigma[-1] < 2 * tilt_sigma[999]
     yaw = euler_columns(estimates["ned_from_body"])[:, 2]
     assert yaw[-1] == pytest.approx(1.0, abs=1e-3)
