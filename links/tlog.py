@@ -144,7 +144,8 @@ def _check(path: Path, data: Bytes, frames: Rows, state: Record) -> None:
             f"{path}: holds no MAVLink frames, so it is no .tlog; give a .tlog, or a .ulg or .bin "
             "file by its own suffix"
         )
-    if state["bad_stamp"] == len(frames):
+    ends = frames["offset"] + frames["length"]
+    if state["bad_stamp"] == len(frames) and np.any(frames["offset"][1:] == ends[:-1]):
         raise RecordingError(
             f"{path}: holds {len(frames)} MAVLink frames but no time stamps between them; "
             "give a .tlog as ground stations write it, not a raw capture of the link"
