@@ -1,0 +1,125 @@
+"""What stands still in the viewer: the drawn aircraft, the compass, names and colours of series."""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+import rerun as rr
+
+from viz import entities, states
+from viz.airframe import aircraft
+from viz.entities import X_FAINT, Y_FAINT, Z_FAINT, X, Y, Z
+
+FORCE_SCALE: Final = 2.6
+"""Drawn length of one g [m]."""
+
+_PALE: Final = 0x9AA7B8FF
+_BRIGHT: Final = 0xF4F5F7FF
+_COMPASS_RADIUS: Final = 3.0
+_GROUND: Final = 2.0
+
+
+def send_scene(recording: rr.RecordingStream, reference: str) -> None:
+    """Send everything static; `reference` is whose attitude "theirs" is."""
+    _aircraft(recording)
+    _compass(recording)
+    _attitude_styles(recording, reference)
+    _filter_styles(recording)
+    recording.log(
+        entities.GATE,
+        rr.StateConfiguration(
+            values=states.GATE_TEXTS, labels=states.GATE_TEXTS, colors=_rgba(*states.GATE_COLOURS)
+        ),
+        static=True,
+    )
+    recording.log(
+        entities.SAMPLE,
+        rr.StateConfiguration(values=["good"], labels=["good"], colors=_rgba(states.GREEN)),
+        static=True,
+    )
+
+
+def _rgba(*colours: int) -> npt.NDArray[np.uint32]:
+    return np.array(colours, np.uint32)
+
+
+def _aircraft(recording: rr.RecordingStream) -> None:
+    recording.log(entities.WORLD, rr.ViewCoordinates.FRD, static=True)
+    for entity, paint, alpha in (
+        (entities.OURS, entities.OURS_PAINT, 255),
+        (entities.THEIRS, entities.THEIRS_PAINT, 90),
+    ):
+        mesh = aircraft(paint)
+        shape = rr.Mesh3D(
+            vertex_positions=mesh.positions,
+            vertex_normals=mesh.normals,
+            vertex_colors=mesh.colours if alpha == 255 else None,
+            albedo_factor=None if alpha == 255 else (*paint, alpha),
+        )
+        recording.log(f"{entity}/airframe", shape, static=True)
+    axes = rr.Arrows3D(
+        vectors=[[2.3, 0.0, 0.0], [0.0, 2.6, 0.0]],
+        colors=_rgba(X, Y),
+        radii=0.018,
+        labels=["x", "y"],
+    )
+    recording.log(f"{entities.OURS}/axes", axes, static=True)
+    force = rr.Arrows3D.from_fields(radii=[0.05], show_labels=True)
+    recording.log(entities.OURS, force, static=True)
+    gravity = rr.Arrows3D(vectors=[[0.0, 0.0, FORCE_SCALE]], colors=_rgba(_BRIGHT), radii=[0.03])
+    recording.log(entities.GRAVITY, gravity, static=True)
+
+
+def _compass(recording: rr.RecordingStream) -> None:
+    angle = np.linspace(0.0, 2.0 * np.pi, 73)
+    ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(73)], axis=1)
+    ticks = [np.stack([k * ring[i] for k in (0.93, 1.0)]) for i in range(0, 72, 6)]
+    strips = [_COMPASS_RADIUS * strip + [0.0, 0.0, _GROUND] for strip in (ring, *ticks)]
+    recording.log(
+        f"{entities.NED}/compass",
+        rr.LineStrips3D(strips, colors=_rgba(_PALE), radii=rr.Radius.ui_points(1.2)),
+        static=True,
+    )
+    disc = rr.Mesh3D(
+        vertex_positions=_COMPASS_RADIUS * ring + [0.0, 0.0, _GROUND + 0.01],
+        triangle_indices=[[0, i, i + 1] for i in range(1, 71)],
+        albedo_factor=(60, 82, 66, 150),
+    )
+    recording.log(f"{entities.NED}/ground", disc, static=True)
+    names = rr.Points3D(
+        positions=0.85 * _COMPASS_RADIUS * ring[[0, 18, 36, 54]] + [0.0, 0.0, _GROUND],
+        labels=["N", "E", "S", "W"],
+        colors=_rgba(X, *[_PALE] * 3),
+        radii=0.01,
+        show_labels=True,
+    )
+    recording.log(f"{entities.NED}/compass/names", names, static=True)
+
+
+def _attitude_styles(recording: rr.RecordingStream, reference: str) -> None:
+    def style(entity: str, names: list[str], colours: list[int], width: float) -> None:
+        lines = rr.SeriesLines(names=names, colors=_rgba(*colours), widths=[width] * len(names))
+        recording.log(entity, lines, static=True)
+
+    style(f"{entities.ATTITUDE}/ours", ["roll", "pitch", "heading"], [X, Y, Z], 2.0)
+    theirs = [f"{angle} {reference}" for angle in ("roll", "pitch", "heading")]
+    style(f"{entities.ATTITUDE}/theirs", theirs, [X_FAINT, Y_FAINT, Z_FAINT], 1.25)
+    style(entities.SIGMA, ["north", "east", "down"], [X, Y, Z], 1.5)
+
+
+def _filter_styles(recording: rr.RecordingStream) -> None:
+    for entity in (entities.RESIDUAL, entities.INNOVATION):
+        lines = rr.SeriesLines(names=["x", "y", "z"], colors=_rgba(X, Y, Z), widths=[1.5] * 3)
+        recording.log(entity, lines, static=True)
+    bias = rr.SeriesLines(
+        names=["x", "y", "z", *(f"{axis} {sign} sigma" for sign in "-+" for axis in "xyz")],
+        colors=_rgba(X, Y, Z, *[X_FAINT, Y_FAINT, Z_FAINT] * 2),
+        widths=[1.75] * 3 + [0.75] * 6,
+    )
+    recording.log(entities.BIAS, bias, static=True)
+    load = rr.SeriesLines(
+        names=["norm", "rate", "angular acceleration", "innovation", "limit"],
+        colors=_rgba(states.AMBER, Z, entities.VIOLET, states.ORANGE, states.RED),
+        widths=[1.5] * 5,
+    )
+    recording.log(entities.LOAD, load, static=True)
