@@ -12,8 +12,8 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from ahrs_service.kernel import kernel
 from ahrs_service.records import Rows
 from links.errors import RecordingError
 
@@ -182,14 +182,14 @@ def _gather(data: Bytes, offsets: Integers, dtype: np.dtype[Any]) -> Rows:
     return out[: int(inside.sum())].reshape(-1).view(dtype)
 
 
-@njit(cache=True)
+@kernel
 def _copy(data: Bytes, offsets: Integers, out: Bytes) -> None:
     for n in range(offsets.shape[0]):
         for i in range(out.shape[1]):
             out[n, i] = data[offsets[n] + 3 + i]
 
 
-@njit(cache=True)
+@kernel
 def _length_at(data: Bytes, i: int, lengths: Integers) -> int:
     """Length of the whole record that begins at `i`, 0 if none does."""
     size = data.shape[0]
@@ -199,7 +199,7 @@ def _length_at(data: Bytes, i: int, lengths: Integers) -> int:
     return length if i + length <= size else 0
 
 
-@njit(cache=True)
+@kernel
 def _is_followed(data: Bytes, end: int) -> bool:
     """Tell whether a record's end is the file's, or another header begins there."""
     size = data.shape[0]
@@ -210,7 +210,7 @@ def _is_followed(data: Bytes, end: int) -> bool:
     return end + 1 == size or data[end + 1] == _HEAD_2
 
 
-@njit(cache=True)
+@kernel
 def _damaged_until(data: Bytes, i: int, length: int, lengths: Integers) -> int:
     """Return where a whole record begins inside the one at `i` that none follows; else 0."""
     for j in range(i + 3, i + length):
@@ -220,7 +220,7 @@ def _damaged_until(data: Bytes, i: int, length: int, lengths: Integers) -> int:
     return 0
 
 
-@njit(cache=True)
+@kernel
 def _scan(
     data: Bytes, start: int, lengths: Integers, offsets: Integers, skipped: Integers
 ) -> tuple[int, int]:

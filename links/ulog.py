@@ -122,7 +122,10 @@ def _load(path: Path, progress: Callable[[float], None] | None) -> _Tables:
         damaged["corrupt sections"] = 1
     lost_ms = sum(dropout.duration for dropout in log.dropouts)
     notes = (f"the logger dropped {lost_ms} ms in all",) if log.dropouts else ()
-    topics = {(item.name, item.multi_id): item.data for item in log.data_list}
+    # A damaged definition can leave a topic without its time.
+    topics = {
+        (item.name, item.multi_id): item.data for item in log.data_list if "timestamp" in item.data
+    }
     counts: dict[str, int] = {}
     for (name, _), data in topics.items():
         counts[name] = counts.get(name, 0) + len(data["timestamp"])
@@ -225,7 +228,7 @@ def _temperature(tables: _Tables) -> _Temperature | None:
 
 def _magnetometer(tables: _Tables, combined: Table) -> tuple[npt.NDArray[np.int64], Floats] | None:
     own = _vectors(combined, "magnetometer_ga")
-    if own is not None:
+    if own is not None and "magnetometer_timestamp_relative" in combined:
         relative = combined["magnetometer_timestamp_relative"].astype(np.int64)
         fresh = relative != _INVALID_RELATIVE_TIME
         fresh[1:] &= np.any(np.diff(own, axis=0) != 0.0, axis=1)

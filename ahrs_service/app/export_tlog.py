@@ -1,0 +1,169 @@
+"""A replay as a .tlog for ground stations: the recording with our ATTITUDE beside it."""
+
+import heapq
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ahrs_service.records import Integers, Kind, Phase, Rows
+from ahrs_service.rotation import euler_columns
+from ahrs_service.settings import Settings
+from links.frames import STAMP_BYTES
+from links.mavlink_codec import Encoder, dialect
+from links.readings import from_tables
+from links.recording import AttitudeReference, Recording
+from links.tlog import TlogFile, read_tlog, tlog_record
+
+_GAUSS_PER_UT: Final = 0.01
+_ACCEL_AND_GYRO: Final = 0x3F
+_MAGNETOMETER: Final = 0x1C0
+_TEMPERATURE: Final = 0x1000
+_AUTOPILOT_COMPONENT: Final = 1
+_HEARTBEAT_NS: Final = 1_000_000_000
+
+
+def write_tlog(
+    path: Path,
+    recording: Recording,
+    estimates: Rows,
+    positions: Integers,
+    system: int,
+    settings: Settings,
+) -> None:
+    """Write a .tlog with our ATTITUDE as component `settings.link.component` of `system`.
+
+    Of a .tlog every frame is kept as it is, and ours follow the frame whose sample made them. Of
+    other logs HEARTBEAT, HIGHRES_IMU and their own attitude are written as MAVLink. `positions`
+    [N] gives the reading behind each estimate.
+    """
+    due = publish_times(estimates, settings.publish.attitude_rate_hz)
+    encoder = Encoder(system, settings.link.component)
+    with path.open("wb") as file:
+        if recording.format == "tlog":
+            tlog = read_tlog(recording.path)
+            _, frame_index = from_tables(tlog)
+            after = frame_index[positions[due]].astype(np.int64)
+            _write_beside(file, tlog, after, _attitudes(encoder, estimates[due]))
+        else:
+            ours = _stamped(estimates["time_ns"][due], _attitudes(encoder, estimates[due]))
+            for stamp_ns, frame in heapq.merge(
+                _imu_frames(recording, system), ours, key=lambda item: item[0]
+            ):
+                file.write(tlog_record(_stamp_us(stamp_ns), frame))
+
+
+def publish_times(estimates: Rows, rate_hz: float) -> npt.NDArray[np.intp]:
+    """Indices of the estimates to publish: the first running one of each period of data time."""
+    if rate_hz <= 0.0:
+        return np.zeros(0, np.intp)
+    running = np.flatnonzero(estimates["phase"] == Phase.RUNNING)
+    period = estimates["time_ns"][running] // round(1e9 / rate_hz)
+    return running[np.flatnonzero(np.diff(period, prepend=period[:1] - 1))]
+
+
+def _attitudes(encoder: Encoder, estimates: Rows) -> Iterator[bytes]:
+    euler = euler_columns(estimates["ned_from_body"])
+    rates = estimates["rate_rad_s"]
+    for n, time_ns in enumerate(estimates["time_ns"].tolist()):
+        yield encoder.pack(_attitude(time_ns, euler[n].tolist(), rates[n].tolist()))
+
+
+def _attitude(time_ns: int, euler: list[float], rates: list[float]) -> Any:
+    return dialect.MAVLink_attitude_message(time_ns // 1_000_000 & 0xFFFFFFFF, *euler, *rates)
+
+
+def _write_beside(file: BinaryIO, tlog: TlogFile, after: Integers, frames: Iterator[bytes]) -> None:
+    """Copy the frames of `tlog` and put frame n of ours behind its frame after[n]."""
+    done = 0
+    for index, frame in zip(after.tolist(), frames, strict=True):
+        _copy(file, tlog, done, index + 1)
+        done = max(done, index + 1)
+        file.write(tlog_record(int(tlog.frames["received_us"][index]), frame))
+    _copy(file, tlog, done, len(tlog.frames))
+
+
+def _copy(file: BinaryIO, tlog: TlogFile, start: int, stop: int) -> None:
+    """Copy frames start..stop with their stamps; what lies between frames is left out."""
+    frames = tlog.frames[start:stop]
+    first = frames["offset"] - STAMP_BYTES
+    end = frames["offset"] + frames["length"]
+    # A stamp that could not be true was replaced by the reader, so such frames go one by one.
+    if len(frames) and not tlog.damaged["bad_stamp"] and (first[1:] == end[:-1]).all():
+        file.write(tlog.data[int(first[0]) : int(end[-1])].tobytes())
+        return
+    for row in frames:
+        offset, length = int(row["offset"]), int(row["length"])
+        content = tlog.data[offset : offset + length].tobytes()
+        file.write(tlog_record(int(row["received_us"]), content))
+
+
+def _stamp_us(time_ns: int) -> int:
+    # The two low bits are a link number to pymavlink-based tools.
+    return max(time_ns, 0) // 1000 & ~3
+
+
+def _stamped(time_ns: Integers, frames: Iterator[bytes]) -> Iterator[tuple[int, bytes]]:
+    return zip(time_ns.tolist(), frames, strict=True)
+
+
+def _imu_frames(recording: Recording, system: int) -> Iterator[tuple[int, bytes]]:
+    """HEARTBEAT at 1 Hz, HIGHRES_IMU for every sample and the log's attitude, in order of time."""
+    encoder = Encoder(system, _AUTOPILOT_COMPONENT)
+    readings = recording.readings
+    samples = readings[readings["kind"] == Kind.IMU]
+    autopilot = int(readings["autopilot"].max())
+    reference = recording.references[0] if recording.references else None
+    messages = heapq.merge(
+        _heartbeats(samples["time_ns"], autopilot),
+        _highres(samples),
+        _reference_messages(reference),
+        key=lambda item: item[0],
+    )
+    return ((time_ns, encoder.pack(message)) for time_ns, message in messages)
+
+
+def _heartbeats(time_ns: Integers, autopilot: int) -> Iterator[tuple[int, Any]]:
+    seconds = time_ns // _HEARTBEAT_NS
+    for stamp in time_ns[np.diff(seconds, prepend=seconds[:1] - 1) != 0].tolist():
+        yield (
+            stamp,
+            dialect.MAVLink_heartbeat_message(
+                dialect.MAV_TYPE_GENERIC, autopilot, 0, 0, dialect.MAV_STATE_ACTIVE, 3
+            ),
+        )
+
+
+def _highres(samples: Rows) -> Iterator[tuple[int, Any]]:
+    for row in samples:
+        time_ns = int(row["time_ns"])
+        mag = (row["mag_ut"] * _GAUSS_PER_UT).tolist()
+        degc = float(row["temperature_degc"])
+        fields = _ACCEL_AND_GYRO
+        fields |= 0 if math.isnan(mag[0]) else _MAGNETOMETER
+        fields |= 0 if math.isnan(degc) else _TEMPERATURE
+        yield (
+            time_ns,
+            dialect.MAVLink_highres_imu_message(
+                time_ns // 1000,
+                *row["accel_m_s2"].tolist(),
+                *row["gyro_rad_s"].tolist(),
+                *(mag if fields & _MAGNETOMETER else (0.0, 0.0, 0.0)),
+                0.0,
+                0.0,
+                0.0,
+                degc if fields & _TEMPERATURE else 0.0,
+                fields,
+            ),
+        )
+
+
+def _reference_messages(reference: AttitudeReference | None) -> Iterator[tuple[int, Any]]:
+    if reference is None:
+        return
+    euler = euler_columns(reference.ned_from_body)
+    for n, time_ns in enumerate(reference.time_ns.tolist()):
+        yield time_ns, _attitude(time_ns, euler[n].tolist(), [0.0, 0.0, 0.0])

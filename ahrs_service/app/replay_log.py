@@ -1,0 +1,154 @@
+"""One recording through the estimator: the function that replay and fleet share."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from ahrs_service.app import config_file
+from ahrs_service.app.summary import Summary, summarise
+from ahrs_service.estimator import Estimator, StateError
+from ahrs_service.records import ESTIMATE_DTYPE, Integers, Kind, Rows, empty
+from ahrs_service.sensor.parameters import Calibration
+from ahrs_service.settings import Settings
+from links.errors import RecordingError
+from links.readings import from_tables
+from links.recording import Recording
+from links.recording_formats import read_recording
+from links.session_marks import Mark, MarkKind, read_marks
+from links.tlog import read_tlog
+
+Advance = Callable[[str, float], None]
+
+_CHUNK: Final = 1 << 15
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayResult:
+    """A recording and what the estimator made of it.
+
+    `estimates` [N] ESTIMATE_DTYPE, `positions` [N] the reading behind each; `system` the vehicle
+    adopted; `settings` those in force at the end.
+    """
+
+    recording: Recording
+    estimates: Rows
+    positions: Integers
+    system: int
+    settings: Settings
+    summary: Summary
+
+
+def replay_log(
+    path: str | Path,
+    settings: Settings | None = None,
+    advance: Advance | None = None,
+    calibration: Calibration | None = None,
+) -> ReplayResult:
+    """Replay one recording; RecordingError says in a sentence why it cannot be.
+
+    Without `settings` those that the recording carries hold, else the defaults. `advance` is
+    called with what is being done and the share done, 0 to 1. Equal files and settings give equal
+    bytes, and the bytes of the live session where the recording is of one.
+    """
+    told = advance or _silent
+    recording = read_recording(path, lambda share: told("reading", share))
+    marks = _marks(recording) if settings is None else []
+    replay = _Replay(recording, settings, marks, calibration)
+    for share in replay.run():
+        told("estimating", share)
+    told("comparing", 0.0)
+    estimates, positions = replay.columns()
+    if not len(estimates):
+        raise RecordingError(_no_sample(recording, replay.settings))
+    summary = summarise(
+        recording, replay.estimator, estimates, replay.settings.intake, replay.origin
+    )
+    system = int(replay.estimator.intake_state["system"][0])
+    return ReplayResult(recording, estimates, positions, system, replay.settings, summary)
+
+
+def _silent(stage: str, share: float) -> None:
+    del stage, share
+
+
+class _Replay:
+    """The pass over the readings, in pieces that end at the recording's marks."""
+
+    def __init__(
+        self,
+        recording: Recording,
+        settings: Settings | None,
+        marks: list[tuple[int, Mark]],
+        calibration: Calibration | None,
+    ) -> None:
+        self.settings = settings or Settings()
+        self.origin = "the defaults" if settings is None else "as given"
+        self.estimator = Estimator(self.settings, calibration)
+        self._recording = recording
+        self._marks = marks
+        limit = int(np.count_nonzero(recording.readings["kind"] == Kind.IMU))
+        self._estimates = empty(ESTIMATE_DTYPE, limit)
+        self._positions = np.zeros(limit, np.int64)
+        self._count = 0
+
+    def run(self) -> Iterator[float]:
+        """Take all readings; yield the share done."""
+        readings = self._recording.readings
+        start = 0
+        for stop, mark in [*self._marks, (len(readings), None)]:
+            for first in range(start, stop, _CHUNK):
+                last = min(first + _CHUNK, stop)
+                estimates = self.estimator.take(readings[first:last])
+                end = self._count + len(estimates)
+                self._estimates[self._count : end] = estimates
+                self._positions[self._count : end] = self.estimator.positions + first
+                self._count = end
+                yield last / len(readings)
+            start = stop
+            if mark is not None:
+                self._obey(mark)
+
+    def columns(self) -> tuple[Rows, Integers]:
+        """Return all estimates and the reading behind each."""
+        return self._estimates[: self._count], self._positions[: self._count]
+
+    def _obey(self, mark: Mark) -> None:
+        """Do what the live service did here: change settings, or go on from a saved state."""
+        if mark.kind == MarkKind.STATE:
+            try:
+                self.estimator.restore(mark.data)
+            except StateError as error:
+                raise RecordingError(f"{self._recording.path}: {error}; or give --config") from None
+            return
+        try:
+            self.settings = config_file.from_json(mark.data, str(self._recording.path))
+        except config_file.ConfigError as error:
+            raise RecordingError(
+                f"the settings recorded cannot be used here ({error}); give --config"
+            ) from None
+        self.estimator.configure(self.settings)
+        self.origin = "those of the recording"
+
+
+def _marks(recording: Recording) -> list[tuple[int, Mark]]:
+    """Marks of a recording made by this service, each with the first reading it holds for."""
+    if recording.format != "tlog" or "TUNNEL" not in recording.message_counts:
+        return []
+    tlog = read_tlog(recording.path)
+    _, frame_index = from_tables(tlog)
+    marks = list(read_marks(tlog.tables))
+    places = np.searchsorted(frame_index, [mark.frame for mark in marks])
+    return list(zip(places.tolist(), marks, strict=True))
+
+
+def _no_sample(recording: Recording, settings: Settings) -> str:
+    """Say why no reading became a sample."""
+    return (
+        f"{recording.path}: none of its {len(recording.readings)} readings belongs to an IMU of "
+        f"the vehicle looked for (intake.system = {settings.intake.system}, "
+        f"intake.imu_source = {settings.intake.imu_source}) after its HEARTBEAT; "
+        "change these with --set"
+    )

@@ -1,0 +1,189 @@
+"""A replay's summary as tables for the terminal."""
+
+import math
+from collections.abc import Iterable
+from typing import Final
+
+from rich.console import Group, RenderableType
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from ahrs_service.app.summary import Summary
+from ahrs_service.comparison import ErrorStatistics, HeadingError
+
+RULES: Final = (
+    "errors are ours minus the log's own attitude, at its instants, where our filter runs; Euler "
+    "angles beyond 75 deg of pitch left out. Steady flight, by the reference alone: body rate "
+    "below 0.15 rad/s, roll and pitch within 25 deg, for at least 2 s."
+)
+_MESSAGES_SHOWN: Final = 12
+
+
+def log_table(summary: Summary) -> RenderableType:
+    """Return the full table of one log."""
+    table = Table(title=escape(summary.log), title_justify="left", show_header=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column()
+    for name, text in _rows(summary):
+        table.add_row(name, escape(text))
+    parts: list[RenderableType] = [table]
+    if summary.comparison is not None:
+        parts.append(_error_table(summary))
+    parts += [Text(f"warning: {warning}", style="yellow") for warning in summary.warnings]
+    return Group(*parts)
+
+
+def summary_table(summaries: Iterable[Summary]) -> Table:
+    """Return one row per log: rate, gate, roll and pitch errors [deg]."""
+    table = Table(title="all logs: roll and pitch errors in deg", title_justify="left")
+    table.add_column("log", overflow="fold", ratio=1)
+    for name in ("min", "IMU", "Hz", "gaps", "jumps", "degC", "open %", "reference"):
+        table.add_column(name, justify="right", overflow="fold")
+    for name in ("roll 1s", "pitch 1s", "roll max", "pitch max", "steady roll", "steady pitch"):
+        table.add_column(name, justify="right")
+    for summary in summaries:
+        table.add_row(*(escape(cell) for cell in _summary_cells(summary)))
+    return table
+
+
+def _summary_cells(summary: Summary) -> list[str]:
+    cells = [
+        summary.log,
+        _number(summary.duration_s / 60.0, 1),
+        " ".join(summary.sources),
+        _number(summary.imu_rate_hz, 1),
+        str(summary.flags.get("gap", 0)),
+        str(summary.flags.get("clock_jump", 0)),
+        _span(summary),
+        _number(100.0 * summary.gate_reasons.get("open", math.nan), 0),
+        summary.reference or "none",
+    ]
+    found = summary.comparison
+    if found is None:
+        return cells + ["-"] * 6
+    return [
+        *cells,
+        _degrees(found.roll.sigma),
+        _degrees(found.pitch.sigma),
+        _degrees(found.roll.max),
+        _degrees(found.pitch.max),
+        _degrees(found.steady_roll.sigma),
+        _degrees(found.steady_pitch.sigma),
+    ]
+
+
+def _rows(summary: Summary) -> Iterable[tuple[str, str]]:
+    duration_s = summary.duration_s
+    yield "format", summary.format
+    yield "duration", f"{duration_s:.1f} s, attitude for {summary.running_s:.1f} s"
+    yield "messages", _messages(summary)
+    if summary.damaged:
+        yield "damaged", _listed(summary.damaged)
+    yield "IMU", _imu(summary)
+    yield "gaps, clock", _clock(summary)
+    others = {
+        name: count
+        for name, count in summary.flags.items()
+        if name not in ("gap", "clock_jump", "duplicate", "reordered", "source_changed")
+    }
+    if others:
+        yield "findings", _listed(others)
+    if summary.foreign:
+        yield "not adopted", f"{summary.foreign} readings of other vehicles or before a HEARTBEAT"
+    yield "temperature", _temperature(summary)
+    shares = {name: 100.0 * share for name, share in summary.gate_reasons.items()}
+    yield "gate", ", ".join(f"{name} {share:.1f} %" for name, share in shares.items())
+    yield "heading", _heading(summary)
+    for note in summary.notes:
+        yield "note", note
+    yield "settings", summary.settings_origin
+
+
+def _messages(summary: Summary) -> str:
+    """List the most frequent messages and their rates."""
+    duration_s = max(summary.duration_s, 1e-9)
+    ordered = sorted(summary.message_counts.items(), key=lambda item: -item[1])
+    shown = [f"{name} {n} ({n / duration_s:.1f} Hz)" for name, n in ordered[:_MESSAGES_SHOWN]]
+    more = len(ordered) - len(shown)
+    if more > 0:
+        shown.append(f"{more} more names")
+    return f"{sum(summary.message_counts.values())}: " + ", ".join(shown)
+
+
+def _imu(summary: Summary) -> str:
+    used = ", ".join(f"{name} {count}" for name, count in summary.sources.items()) or "none"
+    changes = f", source changed {summary.source_changes} times" if summary.source_changes else ""
+    return f"{used} samples at {_number(summary.imu_rate_hz, 1)} Hz{changes}"
+
+
+def _clock(summary: Summary) -> str:
+    names = ("gap", "clock_jump", "duplicate", "reordered", "realigned")
+    return ", ".join(f"{summary.flags.get(name, 0)} {name.replace('_', ' ')}" for name in names)
+
+
+def _span(summary: Summary) -> str:
+    if math.isnan(summary.temperature_min_degc):
+        return "-"
+    return f"{summary.temperature_min_degc:.1f}..{summary.temperature_max_degc:.1f}"
+
+
+def _temperature(summary: Summary) -> str:
+    if math.isnan(summary.temperature_min_degc):
+        return "no temperature of the IMU itself"
+    return f"{_span(summary)} degC from {summary.temperature_origin}"
+
+
+def _heading(summary: Summary) -> str:
+    if summary.heading == "free":
+        return "free: no usable heading source"
+    found = summary.comparison.heading if summary.comparison is not None else None
+    if not isinstance(found, HeadingError):
+        return summary.heading
+    return (
+        f"{summary.heading}; against {summary.reference}: 1-sigma {_degrees(found.sigma_rad)}, "
+        f"max {_degrees(found.max_rad)} deg about a mean of {_degrees(found.offset_rad)} deg, "
+        f"drift {_degrees(60.0 * found.drift_rad_s)} deg/min"
+    )
+
+
+def _error_table(summary: Summary) -> Table:
+    found = summary.comparison
+    assert found is not None
+    kind = "truth" if summary.reference_is_truth else "the log's own estimate"
+    lag = "" if math.isnan(found.lag_s) else f", {1e3 * found.lag_s:.0f} ms later than ours"
+    table = Table(
+        title=f"error against {escape(summary.reference)} ({kind}{lag}) in deg",
+        title_justify="left",
+        caption=f"{found.compared} instants; {found.out_of_reach} without attitude of ours close "
+        f"by, {found.steep} beyond 75 deg of pitch. {RULES}",
+        caption_justify="left",
+    )
+    for name in ("", "instants", "mean", "1-sigma", "rms", "max"):
+        table.add_column(name, justify="left" if not name else "right")
+    steady = f"steady ({found.steady_s:.0f} s)"
+    for name, one in (
+        ("roll, whole", found.roll),
+        ("pitch, whole", found.pitch),
+        ("tilt, whole", found.tilt),
+        (f"roll, {steady}", found.steady_roll),
+        (f"pitch, {steady}", found.steady_pitch),
+    ):
+        table.add_row(name, str(one.count), *_cells(one))
+    return table
+
+
+def _cells(one: ErrorStatistics) -> list[str]:
+    return [_degrees(value) for value in (one.mean, one.sigma, one.rms, one.max)]
+
+
+def _degrees(angle: float) -> str:
+    return _number(math.degrees(angle), 2)
+
+
+def _number(value: float, digits: int) -> str:
+    return "-" if math.isnan(value) else f"{value:.{digits}f}"
+
+
+def _listed(counts: dict[str, int]) -> str:
+    return ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items())
