@@ -108,8 +108,16 @@ def test_chunking_changes_nothing(sent: list[bytes], cuts: list[int]) -> None:
     assert decoder.counts["garbage_bytes"] == decoder.counts["bad_crc"] == 0
 
 
+UNKNOWN_FRAMES = st.builds(
+    frame_v2,
+    st.just(UNKNOWN_ID),
+    st.lists(st.sampled_from([0xFD, 0xFE, 0, 9]), min_size=1, max_size=60).map(bytes),
+    extra=st.just(0),
+)
+
+
 @given(
-    st.lists(st.one_of(frames(), st.binary(max_size=80)), max_size=10),
+    st.lists(st.one_of(frames(), UNKNOWN_FRAMES, st.binary(max_size=80)), max_size=10),
     st.lists(st.integers(0, 2000), max_size=12),
 )
 @settings(max_examples=200)
@@ -239,7 +247,18 @@ def test_without_a_signer_a_signed_frame_is_taken_but_not_called_signed() -> Non
 @given(st.lists(st.one_of(frames(), st.binary(max_size=40)), max_size=4), st.booleans())
 @settings(max_examples=30)
 def test_the_uncompiled_scanner_finds_the_same(pieces: list[bytes], holds: bool) -> None:
-    data = np.frombuffer(b"".join(pieces), np.uint8)
+    check_uncompiled(b"".join(pieces), holds)
+
+
+@pytest.mark.parametrize("length", range(54))
+def test_the_uncompiled_scanner_reads_nothing_beyond_the_end(length: int) -> None:
+    for frame in (frame_v2(30, bytes(range(1, 29)), flags=1), frame_v1(30, bytes(range(1, 29)))):
+        check_uncompiled(frame[:length], True)
+        check_uncompiled(frame[:length], False)
+
+
+def check_uncompiled(content: bytes, holds: bool) -> None:
+    data = np.frombuffer(content, np.uint8)
     results = []
     for scan in (scan_stream, scan_stream.py_func):
         state, rows = np.zeros(1, SCAN_DTYPE), np.zeros(64, FRAME_DTYPE)

@@ -311,6 +311,17 @@ def test_what_pymavlink_finds_in_a_damaged_file_is_found(tmp_path: Path, content
 @given(content=damaged_tlogs())
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_the_uncompiled_scanner_finds_the_same(content: bytes) -> None:
+    check_uncompiled(content)
+
+
+@pytest.mark.parametrize("length", range(1, 61))
+def test_the_uncompiled_scanner_reads_nothing_beyond_the_end(length: int) -> None:
+    for one in (frame(30, bytes(range(1, 29)), is_signed=True), frame(30, b"\x01" * 28, version=1)):
+        check_uncompiled(records([one])[:length])
+    check_uncompiled(records([frame(UNKNOWN_ID, b"\x01" * 20), attitude(1)])[:length])
+
+
+def check_uncompiled(content: bytes) -> None:
     data = np.frombuffer(content, np.uint8)
     results = []
     for scan in (scan_tlog, scan_tlog.py_func):
