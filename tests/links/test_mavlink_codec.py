@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from links.frames import FRAME_DTYPE, SCAN_DTYPE, scan_stream
-from links.mavlink_codec import CRC_EXTRA, Decoder, Encoder, decode_frame, dialect
+from links.mavlink_codec import Decoder, Encoder, decode_frame, dialect
 
 KNOWN_IDS = sorted(dialect.mavlink_map)
 UNKNOWN_ID = 59_999
@@ -242,25 +241,3 @@ def test_without_a_signer_a_signed_frame_is_taken_but_not_called_signed() -> Non
     ((message, raw),) = Decoder().feed(frame_v2(30, bytes([5] * 28), flags=1))
     assert len(raw) == 10 + 28 + 2 + 13
     assert not message.get_signed()
-
-
-@given(st.lists(st.one_of(frames(), st.binary(max_size=40)), max_size=4), st.booleans())
-@settings(max_examples=30)
-def test_the_uncompiled_scanner_finds_the_same(pieces: list[bytes], holds: bool) -> None:
-    check_uncompiled(b"".join(pieces), holds)
-
-
-@pytest.mark.parametrize("length", range(54))
-def test_the_uncompiled_scanner_reads_nothing_beyond_the_end(length: int) -> None:
-    for frame in (frame_v2(30, bytes(range(1, 29)), flags=1), frame_v1(30, bytes(range(1, 29)))):
-        check_uncompiled(frame[:length], True)
-        check_uncompiled(frame[:length], False)
-
-
-def check_uncompiled(content: bytes, holds: bool) -> None:
-    data = np.frombuffer(content, np.uint8)
-    results = []
-    for scan in (scan_stream, scan_stream.py_func):
-        state, rows = np.zeros(1, SCAN_DTYPE), np.zeros(64, FRAME_DTYPE)
-        results.append((scan(data, holds, CRC_EXTRA, state, rows), state.tobytes(), rows.tobytes()))
-    assert results[0] == results[1]

@@ -1,6 +1,9 @@
 """The columnar tlog reader on files made here: layouts, damage, and what pymavlink finds."""
 
+import os
 import struct
+import subprocess
+import sys
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -12,9 +15,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from links.errors import RecordingError
-from links.frames import FRAME_DTYPE, SCAN_DTYPE, scan_tlog
 from links.layouts import table_dtype
-from links.mavlink_codec import CRC_EXTRA, Encoder, dialect
+from links.mavlink_codec import Encoder, dialect
 from links.tlog import TlogFile, read_tlog, strip_signature, tlog_record
 
 START_US = 1_700_000_000_000_000
@@ -308,23 +310,40 @@ def test_what_pymavlink_finds_in_a_damaged_file_is_found(tmp_path: Path, content
     assert not theirs - ours
 
 
-@given(content=damaged_tlogs())
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-def test_the_uncompiled_scanner_finds_the_same(content: bytes) -> None:
-    check_uncompiled(content)
+SCAN_ALL = """
+import hashlib, sys
+import numpy as np
+from links.frames import FRAME_DTYPE, SCAN_DTYPE, scan_stream, scan_tlog
+from links.mavlink_codec import CRC_EXTRA
 
-
-@pytest.mark.parametrize("length", range(1, 61))
-def test_the_uncompiled_scanner_reads_nothing_beyond_the_end(length: int) -> None:
-    for one in (frame(30, bytes(range(1, 29)), is_signed=True), frame(30, b"\x01" * 28, version=1)):
-        check_uncompiled(records([one])[:length])
-    check_uncompiled(records([frame(UNKNOWN_ID, b"\x01" * 20), attitude(1)])[:length])
-
-
-def check_uncompiled(content: bytes) -> None:
-    data = np.frombuffer(content, np.uint8)
-    results = []
-    for scan in (scan_tlog, scan_tlog.py_func):
+seen = hashlib.sha256()
+for line in sys.stdin.read().split():
+    data = np.frombuffer(bytes.fromhex(line), np.uint8)
+    for scan, argument in ((scan_tlog, 0), (scan_stream, True), (scan_stream, False)):
         state, rows = np.zeros(1, SCAN_DTYPE), np.zeros(64, FRAME_DTYPE)
-        results.append((scan(data, 0, CRC_EXTRA, state, rows), state.tobytes(), rows.tobytes()))
-    assert results[0] == results[1]
+        result = scan(data, argument, CRC_EXTRA, state, rows)
+        seen.update(repr(tuple(map(int, result))).encode() + state.tobytes() + rows.tobytes())
+print(seen.hexdigest())
+"""
+
+
+def test_the_uncompiled_scanner_finds_the_same_and_reads_nothing_beyond_the_end() -> None:
+    signed, old = frame(30, bytes(range(1, 29)), is_signed=True), frame(30, b"\x01" * 28, version=1)
+    unknown = frame(UNKNOWN_ID, b"\x01" * 20)
+    whole = [records([one, attitude(1)]) for one in (signed, old, unknown)]
+    cut = [content[start:stop] for content in whole for start in (0, 8) for stop in range(9, 70)]
+    hit = [content[:at] + b"\xfd" + content[at + 1 :] for content in whole for at in range(60)]
+    lines = "\n".join(content.hex() for content in [*whole, *cut, *hit])
+    seen = [
+        subprocess.run(
+            [sys.executable, "-c", SCAN_ALL],
+            input=lines,
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd=Path(__file__).parents[2],
+            env={**os.environ, "NUMBA_DISABLE_JIT": switch},
+        ).stdout
+        for switch in ("0", "1")
+    ]
+    assert seen[0] == seen[1]
