@@ -48,10 +48,12 @@ def _ring(x: float, half_width: float, half_height: float, z: float) -> Points:
     return np.stack(around, axis=-1)
 
 
-def _aerofoil(leading: tuple[float, float, float], chord: float, thickness: float) -> Points:
+def _aerofoil(
+    leading: tuple[float, float, float], chord: float, thickness: float, below: float = 0.5
+) -> Points:
     """Section of a horizontal surface [6, 3] behind its leading edge point."""
     along = np.array([0.0, 0.15, 0.45, 1.0, 0.45, 0.15])
-    up = np.array([0.0, 0.8, 1.0, 0.0, -0.5, -0.5])
+    up = np.array([0.0, 0.8, 1.0, 0.0, -below, -0.8 * below])
     section = np.tile(np.asarray(leading, np.float64), (6, 1))
     section[:, 0] -= chord * along
     section[:, 2] -= 0.5 * thickness * up
@@ -60,7 +62,7 @@ def _aerofoil(leading: tuple[float, float, float], chord: float, thickness: floa
 
 def _fin(leading: tuple[float, float, float], chord: float, thickness: float) -> Points:
     """Section of an upright surface: an aerofoil that lies on its side."""
-    section = _aerofoil((0.0, 0.0, 0.0), chord, thickness)
+    section = _aerofoil((0.0, 0.0, 0.0), chord, thickness, below=1.0)
     return section[:, [0, 2, 1]] + np.asarray(leading)
 
 

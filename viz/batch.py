@@ -55,7 +55,7 @@ def write_rrd(
     path.open("wb").close()
     recording = rr.RecordingStream(entities.APPLICATION, recording_id=path.stem)
     recording.set_sinks(rr.FileSink(path), default_blueprint=blueprint(live=False))
-    send_scene(recording, references[0].name if references else "theirs")
+    send_scene(recording)
     columns = Columns(recording, gate or GateSettings())
     for start in range(0, len(estimates), _CHUNK):
         columns.estimates(estimates[start : start + _CHUNK])
@@ -63,8 +63,7 @@ def write_rrd(
             progress(min(1.0, (start + _CHUNK) / len(estimates)))
     for index, reference in enumerate(references):
         t = columns.clock.whole(reference.time_ns)
-        series = "theirs" if index == 0 else reference.name
-        columns.reference(series, t, reference.ned_from_body)
+        columns.reference(reference.name, t, reference.ned_from_body, drawn=index == 0)
     for send, named in (
         (columns.temperature, temperatures),
         (columns.rate, rates),

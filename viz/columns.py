@@ -13,7 +13,7 @@ from ahrs_service.rotation import euler_columns
 from ahrs_service.settings import GateSettings
 from viz import entities, states
 from viz.clock import Clock, Nanoseconds
-from viz.scene import FORCE_SCALE
+from viz.scene import FORCE_SCALE, send_reference
 
 Floats = npt.NDArray[np.float64]
 
@@ -69,12 +69,17 @@ class Columns:
         self._scene(rows, t, euler[:, 2])
         self._last_ns = int(t[-1])
 
-    def reference(self, series: str, t: Nanoseconds, ned_from_body: Floats) -> None:
-        """Send the attitude [N, 4] that someone else estimated; "theirs" is drawn in 3D too."""
+    def reference(
+        self, name: str, t: Nanoseconds, ned_from_body: Floats, drawn: bool = True
+    ) -> None:
+        """Send the attitude [N, 4] of the estimator `name`; if `drawn` it is "theirs" in 3D too."""
+        entity = f"{entities.ATTITUDE}/{'theirs' if drawn else rr.escape_entity_path_part(name)}"
+        if entity not in self._styled:
+            self._styled.add(entity)
+            send_reference(self._recording, entity, name, drawn)
         euler = np.degrees(euler_columns(ned_from_body))
-        entity = f"{entities.ATTITUDE}/{rr.escape_entity_path_part(series)}"
         self._scalars(entity, t, _with_heading(euler))
-        if series == "theirs":
+        if drawn:
             kept = self._thinned(entities.THEIRS, t, ned_from_body)
             self._transform(entities.THEIRS, t[kept], ned_from_body[kept])
 

@@ -158,7 +158,7 @@ class LiveViewer:
             sinks.append(rr.FileSink(self.rrd, write_footer=False))
         recording = rr.RecordingStream(entities.APPLICATION)
         recording.set_sinks(*sinks, default_blueprint=blueprint(live=True))
-        send_scene(recording, "autopilot")
+        send_scene(recording)
         return recording, Columns(recording, self.gate)
 
     def _send(self, columns: "Columns") -> None:
@@ -167,7 +167,7 @@ class LiveViewer:
         clock = columns.clock
         if references := _taken(self._references):
             t = clock.live(np.array([time_ns for time_ns, _ in references], np.int64))
-            columns.reference("theirs", t, np.array([attitude for _, attitude in references]))
+            columns.reference("autopilot", t, np.array([attitude for _, attitude in references]))
         for site, time_ns, degc in _taken(self._temperatures):
             columns.temperature(site, clock.live(np.array([time_ns])), np.array([degc]))
         now = np.array([clock.now_ns])

@@ -19,12 +19,11 @@ _COMPASS_RADIUS: Final = 3.0
 _GROUND: Final = 2.0
 
 
-def send_scene(recording: rr.RecordingStream, reference: str) -> None:
-    """Send everything static; `reference` is whose attitude "theirs" is."""
+def send_scene(recording: rr.RecordingStream) -> None:
+    """Send everything static but what belongs to a reference."""
     _aircraft(recording)
     _compass(recording)
-    _attitude_styles(recording, reference)
-    _filter_styles(recording)
+    _series(recording)
     recording.log(
         entities.GATE,
         rr.StateConfiguration(
@@ -39,24 +38,33 @@ def send_scene(recording: rr.RecordingStream, reference: str) -> None:
     )
 
 
+def send_reference(recording: rr.RecordingStream, entity: str, name: str, drawn: bool) -> None:
+    """Send the look of another estimator's attitude: pale lines, and if `drawn` a grey ghost."""
+    names = [f"{angle} {name}" for angle in ("roll", "pitch", "heading")]
+    _style(recording, entity, names, [X_FAINT, Y_FAINT, Z_FAINT], 1.25)
+    if drawn:
+        mesh = aircraft(entities.THEIRS_PAINT)
+        ghost = rr.Mesh3D(
+            vertex_positions=mesh.positions,
+            vertex_normals=mesh.normals,
+            albedo_factor=(*entities.THEIRS_PAINT, 90),
+        )
+        recording.log(f"{entities.THEIRS}/airframe", ghost, static=True)
+
+
 def _rgba(*colours: int) -> npt.NDArray[np.uint32]:
     return np.array(colours, np.uint32)
 
 
 def _aircraft(recording: rr.RecordingStream) -> None:
     recording.log(entities.WORLD, rr.ViewCoordinates.FRD, static=True)
-    for entity, paint, alpha in (
-        (entities.OURS, entities.OURS_PAINT, 255),
-        (entities.THEIRS, entities.THEIRS_PAINT, 90),
-    ):
-        mesh = aircraft(paint)
-        shape = rr.Mesh3D(
-            vertex_positions=mesh.positions,
-            vertex_normals=mesh.normals,
-            vertex_colors=mesh.colours if alpha == 255 else None,
-            albedo_factor=None if alpha == 255 else (*paint, alpha),
-        )
-        recording.log(f"{entity}/airframe", shape, static=True)
+    mesh = aircraft(entities.OURS_PAINT)
+    shape = rr.Mesh3D(
+        vertex_positions=mesh.positions,
+        vertex_normals=mesh.normals,
+        vertex_colors=mesh.colours,
+    )
+    recording.log(f"{entities.OURS}/airframe", shape, static=True)
     axes = rr.Arrows3D(
         vectors=[[2.3, 0.0, 0.0], [0.0, 2.6, 0.0]],
         colors=_rgba(X, Y),
@@ -96,30 +104,29 @@ def _compass(recording: rr.RecordingStream) -> None:
     recording.log(f"{entities.NED}/compass/names", names, static=True)
 
 
-def _attitude_styles(recording: rr.RecordingStream, reference: str) -> None:
-    def style(entity: str, names: list[str], colours: list[int], width: float) -> None:
-        lines = rr.SeriesLines(names=names, colors=_rgba(*colours), widths=[width] * len(names))
-        recording.log(entity, lines, static=True)
+def _style(
+    recording: rr.RecordingStream,
+    entity: str,
+    names: list[str],
+    colours: list[int],
+    width: float = 1.5,
+) -> None:
+    lines = rr.SeriesLines(names=names, colors=_rgba(*colours), widths=[width] * len(names))
+    recording.log(entity, lines, static=True)
 
-    style(f"{entities.ATTITUDE}/ours", ["roll", "pitch", "heading"], [X, Y, Z], 2.0)
-    theirs = [f"{angle} {reference}" for angle in ("roll", "pitch", "heading")]
-    style(f"{entities.ATTITUDE}/theirs", theirs, [X_FAINT, Y_FAINT, Z_FAINT], 1.25)
-    style(entities.SIGMA, ["north", "east", "down"], [X, Y, Z], 1.5)
 
-
-def _filter_styles(recording: rr.RecordingStream) -> None:
-    for entity in (entities.RESIDUAL, entities.INNOVATION):
-        lines = rr.SeriesLines(names=["x", "y", "z"], colors=_rgba(X, Y, Z), widths=[1.5] * 3)
-        recording.log(entity, lines, static=True)
+def _series(recording: rr.RecordingStream) -> None:
+    ours = ["roll", "pitch", "heading"]
+    _style(recording, f"{entities.ATTITUDE}/ours", ours, [X, Y, Z], 2.0)
+    _style(recording, entities.SIGMA, ["north", "east", "down"], [X, Y, Z])
+    _style(recording, entities.RESIDUAL, ["x", "y", "z"], [X, Y, Z])
+    _style(recording, entities.INNOVATION, ["x", "y", "z"], [X, Y, Z])
     bias = rr.SeriesLines(
         names=["x", "y", "z", *(f"{axis} {sign} sigma" for sign in "-+" for axis in "xyz")],
         colors=_rgba(X, Y, Z, *[X_FAINT, Y_FAINT, Z_FAINT] * 2),
         widths=[1.75] * 3 + [0.75] * 6,
     )
     recording.log(entities.BIAS, bias, static=True)
-    load = rr.SeriesLines(
-        names=["norm", "rate", "angular acceleration", "innovation", "limit"],
-        colors=_rgba(states.AMBER, Z, entities.VIOLET, states.ORANGE, states.RED),
-        widths=[1.5] * 5,
-    )
-    recording.log(entities.LOAD, load, static=True)
+    reasons = ["norm", "rate", "angular acceleration", "innovation", "limit"]
+    hues = [states.AMBER, Z, entities.VIOLET, states.ORANGE, states.RED]
+    _style(recording, entities.LOAD, reasons, hues)
