@@ -28,7 +28,7 @@ STEADY_ANGLE_RAD: Final = float(np.radians(25.0))
 STEADY_DURATION_S: Final = 2.0
 LAG_LIMIT_S: Final = 0.3
 _LAG_STEP_S: Final = 0.01
-_LAG_INSTANTS: Final = 20_000
+_LAG_INSTANTS: Final = 5_000
 _LAG_CORRELATION: Final = 0.5
 
 
@@ -198,14 +198,15 @@ def _lag(estimates: Rows, time_ns: Integers, q: Floats) -> float:
 
 
 def _integral(t_s: Floats, rate: Floats) -> Floats:
+    """Integral [3, N] of rates [N, 3] over time, one contiguous row per axis."""
     steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(t_s)[:, None]
-    return np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+    return np.ascontiguousarray(np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)]).T)
 
 
 def _score(rates: Floats, t_s: Floats, angle: Floats, start: Floats, stop: Floats) -> float:
     product = power = own = 0.0
     for axis in range(3):
-        column = angle[:, axis]
+        column = angle[axis]
         mean = (np.interp(stop, t_s, column) - np.interp(start, t_s, column)) / (stop - start)
         mean = mean - mean.mean()
         theirs = rates[:, axis] - rates[:, axis].mean()

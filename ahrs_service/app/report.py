@@ -151,7 +151,10 @@ def _error_table(summary: Summary) -> Table:
     found = summary.comparison
     assert found is not None
     kind = "truth" if summary.reference_is_truth else "the log's own estimate"
-    lag = "" if math.isnan(found.lag_s) else f", {1e3 * found.lag_s:.0f} ms later than ours"
+    lag = ""
+    if not math.isnan(found.lag_s):
+        order = "later" if found.lag_s >= 0.0 else "earlier"
+        lag = f", shows motions {abs(1e3 * found.lag_s):.0f} ms {order} than ours"
     table = Table(
         title=f"error against {escape(summary.reference)} ({kind}{lag}) in deg",
         title_justify="left",
