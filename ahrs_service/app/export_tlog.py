@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from ahrs_service.records import Integers, Kind, Phase, Rows
 from ahrs_service.rotation import euler_columns
 from ahrs_service.settings import Settings
+from links.attitude_messages import Publisher
 from links.frames import STAMP_BYTES
 from links.mavlink_codec import Encoder, dialect
 from links.readings import from_tables
@@ -34,52 +34,43 @@ def write_tlog(
     system: int,
     settings: Settings,
 ) -> None:
-    """Write a .tlog with our ATTITUDE as component `settings.link.component` of `system`.
+    """Write a .tlog with what the live service would send as `settings.link.component`.
 
     Of a .tlog every frame is kept as it is, and ours follow the frame whose sample made them. Of
     other logs HEARTBEAT, HIGHRES_IMU and their own attitude are written as MAVLink. `positions`
     [N] gives the reading behind each estimate.
     """
-    due = publish_times(estimates, settings.publish.attitude_rate_hz)
-    encoder = Encoder(system, settings.link.component)
+    ours = _published(estimates, settings, Encoder(system, settings.link.component))
     with path.open("wb") as file:
         if recording.format == "tlog":
             tlog = read_tlog(recording.path)
             _, frame_index = from_tables(tlog)
-            after = frame_index[positions[due]].astype(np.int64)
-            _write_beside(file, tlog, after, _attitudes(encoder, estimates[due]))
-        else:
-            ours = _stamped(estimates["time_ns"][due], _attitudes(encoder, estimates[due]))
-            for stamp_ns, frame in heapq.merge(
-                _imu_frames(recording, system), ours, key=lambda item: item[0]
-            ):
-                file.write(tlog_record(_stamp_us(stamp_ns), frame))
+            behind = frame_index[positions].tolist()
+            _write_beside(file, tlog, ((behind[n], frame) for n, frame in ours))
+            return
+        stamps = estimates["time_ns"].tolist()
+        for stamp_ns, frame in heapq.merge(
+            _imu_frames(recording, system),
+            ((stamps[n], frame) for n, frame in ours),
+            key=lambda item: item[0],
+        ):
+            file.write(tlog_record(_stamp_us(stamp_ns), frame))
 
 
-def publish_times(estimates: Rows, rate_hz: float) -> npt.NDArray[np.intp]:
-    """Indices of the estimates to publish: the first running one of each period of data time."""
-    if rate_hz <= 0.0:
-        return np.zeros(0, np.intp)
-    running = np.flatnonzero(estimates["phase"] == Phase.RUNNING)
-    period = estimates["time_ns"][running] // round(1e9 / rate_hz)
-    return running[np.flatnonzero(np.diff(period, prepend=period[:1] - 1))]
+def _published(
+    estimates: Rows, settings: Settings, encoder: Encoder
+) -> Iterator[tuple[int, bytes]]:
+    """Frames that the live service would send, each with the index of its estimate."""
+    publisher = Publisher(settings.publish)
+    for n in np.flatnonzero(estimates["phase"] == Phase.RUNNING).tolist():
+        for message in publisher.messages(estimates[n]):
+            yield n, encoder.pack(message)
 
 
-def _attitudes(encoder: Encoder, estimates: Rows) -> Iterator[bytes]:
-    euler = euler_columns(estimates["ned_from_body"])
-    rates = estimates["rate_rad_s"]
-    for n, time_ns in enumerate(estimates["time_ns"].tolist()):
-        yield encoder.pack(_attitude(time_ns, euler[n].tolist(), rates[n].tolist()))
-
-
-def _attitude(time_ns: int, euler: list[float], rates: list[float]) -> Any:
-    return dialect.MAVLink_attitude_message(time_ns // 1_000_000 & 0xFFFFFFFF, *euler, *rates)
-
-
-def _write_beside(file: BinaryIO, tlog: TlogFile, after: Integers, frames: Iterator[bytes]) -> None:
-    """Copy the frames of `tlog` and put frame n of ours behind its frame after[n]."""
+def _write_beside(file: BinaryIO, tlog: TlogFile, ours: Iterator[tuple[int, bytes]]) -> None:
+    """Copy the frames of `tlog` and put each of ours behind the frame of its index."""
     done = 0
-    for index, frame in zip(after.tolist(), frames, strict=True):
+    for index, frame in ours:
         _copy(file, tlog, done, index + 1)
         done = max(done, index + 1)
         file.write(tlog_record(int(tlog.frames["received_us"][index]), frame))
@@ -104,10 +95,6 @@ def _copy(file: BinaryIO, tlog: TlogFile, start: int, stop: int) -> None:
 def _stamp_us(time_ns: int) -> int:
     # The two low bits are a link number to pymavlink-based tools.
     return max(time_ns, 0) // 1000 & ~3
-
-
-def _stamped(time_ns: Integers, frames: Iterator[bytes]) -> Iterator[tuple[int, bytes]]:
-    return zip(time_ns.tolist(), frames, strict=True)
 
 
 def _imu_frames(recording: Recording, system: int) -> Iterator[tuple[int, bytes]]:
@@ -166,4 +153,5 @@ def _reference_messages(reference: AttitudeReference | None) -> Iterator[tuple[i
         return
     euler = euler_columns(reference.ned_from_body)
     for n, time_ns in enumerate(reference.time_ns.tolist()):
-        yield time_ns, _attitude(time_ns, euler[n].tolist(), [0.0, 0.0, 0.0])
+        time_ms = time_ns // 1_000_000 & 0xFFFFFFFF
+        yield time_ns, dialect.MAVLink_attitude_message(time_ms, *euler[n].tolist(), 0.0, 0.0, 0.0)

@@ -9,7 +9,6 @@ import pyarrow.parquet
 import pytest
 
 from ahrs_service.app import cli, config_file
-from ahrs_service.app.export_tlog import publish_times
 from ahrs_service.app.replay_log import replay_log
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.estimator import Estimator
@@ -261,10 +260,22 @@ def test_tlog_keeps_every_frame_and_adds_ours_behind_its_sample(flight, tmp_path
     for row in table:
         source = by_stamp[int(row["time_boot_ms"])]
         euler = euler_columns(source["ned_from_body"][None])[0]
-        assert row["roll"] == np.float32(euler[0])
+        assert row["roll"] == pytest.approx(euler[0], rel=1e-6)
         assert row["rollspeed"] == np.float32(source["rate_rad_s"][0])
         before = tlog.frames[row["frame_index"] - 1]
         assert before["received_us"] == row["received_us"] == int(source["received_ns"]) // 1000
+
+
+def test_tlog_carries_every_message_that_is_switched_on(flight, tmp_path):
+    out = tmp_path / "out.tlog"
+    rates = {"attitude_rate_hz": 0, "attitude_quaternion_rate_hz": 20, "named_value_rate_hz": 1}
+    words = [word for name, hz in rates.items() for word in ("--set", f"publish.{name}={hz}")]
+    assert replay(flight, "--tlog", out, *words) == 0
+    tables = read_tlog(out).tables
+    assert (7, 191, "ATTITUDE") not in tables
+    steps = np.diff(tables[7, 191, "ATTITUDE_QUATERNION"]["time_boot_ms"].astype(int))
+    assert set(steps) == {50}
+    assert len(tables[7, 191, "NAMED_VALUE_FLOAT"]) > 20
 
 
 def test_replay_of_a_replays_tlog_gives_the_same_estimates(flight, tmp_path):
@@ -434,15 +445,3 @@ def test_an_output_that_cannot_be_written_is_told(flight, tmp_path, capsys):
     message = capsys.readouterr().err
     assert message.startswith("failed:")
     assert "out.csv" in message
-
-
-def test_publish_times_follow_the_data_clock():
-    rows = empty(ESTIMATE_DTYPE, 1000)
-    rows["time_ns"] = 5_000_000 * np.arange(1000)
-    rows["phase"] = Phase.RUNNING
-    rows["phase"][:200] = Phase.ALIGNING
-    chosen = publish_times(rows, 50.0)
-    assert chosen[0] == 200
-    assert set(np.diff(rows["time_ns"][chosen])) == {20_000_000}
-    assert len(publish_times(rows, 0.0)) == 0
-    assert len(publish_times(rows[:100], 50.0)) == 0
