@@ -117,6 +117,7 @@ def test_sender_autopilot_airspeed_and_velocity() -> None:
         (0x103F, {"mag_ut"}),
         (0x0038, {"accel_m_s2", "mag_ut", "temperature_degc"}),
         (0x0007, {"gyro_rad_s", "mag_ut", "temperature_degc"}),
+        (0x0037, {"gyro_rad_s", "mag_ut", "temperature_degc"}),
         (0x003B, {"accel_m_s2", "mag_ut", "temperature_degc"}),
         (0x0000, set()),
     ],
@@ -259,12 +260,16 @@ def test_references_follow_an_imu_on_unix_time(tmp_path: Path) -> None:
         write(tmp_path / "a.tlog", heartbeat(), clock, imu[0], attitude(50_001, 0.1), imu[1])
     )
     assert with_clock.references[0].time_ns.tolist() == [(boot_us + 50_001_000) * 1000]
-    # Without SYSTEM_TIME both clocks meet at the time of receipt.
-    without = recording_from_tlog(
-        write(tmp_path / "b.tlog", heartbeat(), imu[0], attitude(50_001, 0.1), imu[0])
+
+
+def test_without_system_time_both_clocks_meet_at_the_time_of_receipt(tmp_path: Path) -> None:
+    # The autopilot's Unix time is a minute ahead of the receiver's.
+    imu = [highres(time_usec=START_US + 60_000_000 + 1000 * ms) for ms in (1, 3)]
+    recording = recording_from_tlog(
+        write(tmp_path / "b.tlog", heartbeat(), imu[0], attitude(777, 0.1), imu[1])
     )
-    expected = (boot_us + 50_000_000) * 1000
-    assert without.references[0].time_ns[0] == pytest.approx(expected, abs=3_000_000)
+    expected = (START_US + 60_000_000 + 2000) * 1000
+    assert recording.references[0].time_ns.tolist() == [expected]
 
 
 def test_a_second_autopilot_has_its_references_named(tmp_path: Path) -> None:
@@ -287,15 +292,26 @@ def test_raw_counts_in_raw_imu_are_told(tmp_path: Path) -> None:
     assert recording_from_tlog(write(tmp_path / "b.tlog", scaled("raw_imu"))).notes == ()
 
 
-def test_real_attitudes_agree_with_gravity_at_rest(shared: Path) -> None:
-    """At rest the specific force is the down axis with its sign turned, whatever the message."""
-    path = shared / "flights" / "bench_copter_2021-11-23_static_44min_1hz.tlog"
+@pytest.mark.parametrize(
+    ("name", "limit_deg"),
+    [
+        # Tilted by 11 deg: a wrong sign would show 22 deg; the autopilot's trim is within 5.
+        ("bench_copter_2021-11-23_static_44min_1hz", 5.0),
+        ("umn_thor75_fixedwing_50hz_reencoded", 1.0),
+    ],
+)
+def test_real_attitudes_agree_with_gravity(shared: Path, name: str, limit_deg: float) -> None:
+    """Unaccelerated, the specific force points against the down axis, in time and in sign."""
+    path = shared / "flights" / f"{name}.tlog"
     if not path.is_file():
         pytest.skip(f"no {path.name} in ../shared/data/flights")
     recording = recording_from_tlog(path)
-    w, x, y, z = np.median(recording.references[0].ned_from_body, axis=0)
-    down = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
-    raw = recording.readings[recording.readings["source"] == ImuSource.RAW_IMU]
-    force = np.median(raw["accel_m_s2"], axis=0)
-    angle = np.arccos(np.dot(-force, down) / np.linalg.norm(force) / np.linalg.norm(down))
-    assert np.degrees(angle) < 2.0
+    reference, imu = recording.references[0], recording.readings
+    imu = imu[np.isin(imu["source"], [ImuSource.RAW_IMU, ImuSource.HIGHRES_IMU])]
+    at = np.clip(np.searchsorted(imu["time_ns"], reference.time_ns), 0, len(imu) - 1)
+    force, rate = imu["accel_m_s2"][at], np.linalg.norm(imu["gyro_rad_s"][at], axis=1)
+    size = np.linalg.norm(force, axis=1)
+    w, x, y, z = reference.ned_from_body.T
+    down = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
+    angle = np.degrees(np.arccos(np.clip(-np.sum(force * down, axis=1) / size, -1.0, 1.0)))
+    assert np.median(angle[(abs(size - 9.8) < 0.6) & (rate < 0.2)]) < limit_deg
