@@ -115,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
         for file in written:
             console.print(f"wrote {escape(str(file))}", highlight=False, soft_wrap=True)
     if len(logs) > 1 and summaries:
-        console.print(summary_table(summaries))
+        console.print(summary_table(summaries, console.width))
     if args.json is not None:
         _write_json(args.json, summaries)
     return EXIT_DONE if len(summaries) == len(logs) else EXIT_REFUSED

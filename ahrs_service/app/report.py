@@ -1,9 +1,10 @@
 """A replay's summary as tables for the terminal."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Final
 
+from rich import box
 from rich.console import Group, RenderableType
 from rich.markup import escape
 from rich.table import Table
@@ -18,6 +19,7 @@ RULES: Final = (
     "below 0.15 rad/s, roll and pitch within 25 deg, for at least 2 s."
 )
 _MESSAGES_SHOWN: Final = 12
+_WIDE: Final = 160
 
 
 def log_table(summary: Summary) -> RenderableType:
@@ -34,43 +36,35 @@ def log_table(summary: Summary) -> RenderableType:
     return Group(*parts)
 
 
-def summary_table(summaries: Iterable[Summary]) -> Table:
-    """Return one row per log: rate, gate, roll and pitch errors [deg]."""
-    table = Table(title="all logs: roll and pitch errors in deg", title_justify="left")
-    table.add_column("log", overflow="fold", ratio=1)
-    for name in ("min", "IMU", "Hz", "gaps", "jumps", "degC", "open %", "reference"):
-        table.add_column(name, justify="right", overflow="fold")
-    for name in ("roll 1s", "pitch 1s", "roll max", "pitch max", "steady roll", "steady pitch"):
-        table.add_column(name, justify="right")
+def summary_table(summaries: Iterable[Summary], width: int) -> Table:
+    """Return one row per log with roll and pitch errors [deg]; more columns where `width` allows.
+
+    Whole flight: 1-sigma and max; steady flight: 1-sigma.
+    """
+    table = Table(
+        title="all logs: 1-sigma of roll and pitch errors in deg",
+        title_justify="left",
+        box=box.SIMPLE,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+    )
+    columns = _COLUMNS if width >= _WIDE else tuple(one for one in _COLUMNS if one[1])
+    table.add_column("log", overflow="fold", min_width=16)
+    for name, _, _ in columns:
+        table.add_column(name.replace(" ", "\n"), justify="right", no_wrap=True)
     for summary in summaries:
-        table.add_row(*(escape(cell) for cell in _summary_cells(summary)))
+        cells = (cell(summary) for _, _, cell in columns)
+        table.add_row(escape(summary.log), *(escape(text) for text in cells))
     return table
 
 
-def _summary_cells(summary: Summary) -> list[str]:
-    cells = [
-        summary.log,
-        _number(summary.duration_s / 60.0, 1),
-        " ".join(summary.sources),
-        _number(summary.imu_rate_hz, 1),
-        str(summary.flags.get("gap", 0)),
-        str(summary.flags.get("clock_jump", 0)),
-        _span(summary),
-        _number(100.0 * summary.gate_reasons.get("open", math.nan), 0),
-        summary.reference or "none",
-    ]
-    found = summary.comparison
-    if found is None:
-        return cells + ["-"] * 6
-    return [
-        *cells,
-        _degrees(found.roll.sigma),
-        _degrees(found.pitch.sigma),
-        _degrees(found.roll.max),
-        _degrees(found.pitch.max),
-        _degrees(found.steady_roll.sigma),
-        _degrees(found.steady_pitch.sigma),
-    ]
+def _error_cell(axis: str, figure: str) -> Callable[[Summary], str]:
+    def cell(summary: Summary) -> str:
+        if summary.comparison is None:
+            return "-"
+        return _degrees(getattr(getattr(summary.comparison, axis), figure))
+
+    return cell
 
 
 def _rows(summary: Summary) -> Iterable[tuple[str, str]]:
@@ -190,3 +184,22 @@ def _number(value: float, digits: int) -> str:
 
 def _listed(counts: dict[str, int]) -> str:
     return ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items())
+
+
+_COLUMNS: Final[tuple[tuple[str, bool, Callable[[Summary], str]], ...]] = (
+    ("min", True, lambda one: _number(one.duration_s / 60.0, 1)),
+    ("IMU", False, lambda one: " ".join(one.sources)),
+    ("Hz", True, lambda one: _number(one.imu_rate_hz, 0)),
+    ("gaps", True, lambda one: str(one.flags.get("gap", 0))),
+    ("jumps", True, lambda one: str(one.flags.get("clock_jump", 0))),
+    ("degC", False, _span),
+    ("open %", True, lambda one: _number(100.0 * one.gate_reasons.get("open", math.nan), 0)),
+    ("reference", False, lambda one: one.reference or "none"),
+    ("roll", True, _error_cell("roll", "sigma")),
+    ("pitch", True, _error_cell("pitch", "sigma")),
+    ("roll max", False, _error_cell("roll", "max")),
+    ("pitch max", False, _error_cell("pitch", "max")),
+    ("steady roll", True, _error_cell("steady_roll", "sigma")),
+    ("steady pitch", True, _error_cell("steady_pitch", "sigma")),
+)
+"""Heading, whether also shown on a narrow terminal, and the cell's text."""
