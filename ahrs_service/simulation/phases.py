@@ -15,6 +15,7 @@ from ahrs_service.simulation.spline import UniformSpline
 STEP_S: Final = 0.1
 CRUISE_M_S: Final = 18.0
 SHORTEST_S: Final = 40.0
+"""Time that a whole flight needs [s]; the plan of a shorter one is this long."""
 
 _SETTLE_S: Final = 1.2
 _WIND_S: Final = 5.0
@@ -81,7 +82,7 @@ def rest_phases(seconds: float) -> tuple[Phase, ...]:
 
 
 def flight_phases(seconds: float) -> tuple[Phase, ...]:
-    """Return a whole flight that takes `seconds` [s], with more circuits the longer it is."""
+    """Return a whole flight of `seconds` [s] (at least 40), longer ones with more circuits."""
     circuits = max(1, round(seconds / _CIRCUIT_S))
     return _stretched(
         (_PARKED, _TAKE_OFF, _CLIMB, *_CIRCUIT * circuits, _LANDING, _STOPPED), seconds
@@ -98,8 +99,7 @@ def circling_phases(seconds: float) -> tuple[Phase, ...]:
 
 def _stretched(phases: tuple[Phase, ...], seconds: float) -> tuple[Phase, ...]:
     """Stretch the elastic phases to `seconds` and set the path angle of the closing ones."""
-    if not seconds >= SHORTEST_S:
-        raise ValueError(f"seconds = {seconds:g}: a flight needs {SHORTEST_S:g} s or more")
+    seconds = max(seconds, SHORTEST_S)
     elastic = sum(phase.seconds for phase in phases if phase.is_elastic)
     fixed = sum(phase.seconds for phase in phases if not phase.is_elastic)
     altitude_m, plan = 0.0, []

@@ -92,7 +92,8 @@ def make_flight(
 ) -> Flight:
     """Return the flight of a scenario, the same for the same arguments.
 
-    Every phase is in it however short; ValueError for a name, length or rate that cannot be.
+    From 40 s on it holds every phase; a shorter one is cut off in the air. ValueError for a
+    name, length or rate that cannot be.
     """
     if name not in SCENARIOS:
         raise ValueError(f"scenario = {name!r}: choose one of {', '.join(SCENARIOS)}")

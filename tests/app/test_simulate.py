@@ -1,0 +1,146 @@
+import asyncio
+import json
+import signal
+import socket
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from ahrs_service.app import simulate
+from ahrs_service.app.cli import main
+from ahrs_service.simulation.scenario import make_flight
+from links.mavlink_codec import Decoder, Encoder, dialect
+from links.readings import recording_from_tlog
+from links.tlog import read_tlog
+
+
+def test_the_written_flight_is_whole_and_the_same_each_time(simulated_tlog, tmp_path):
+    flight = make_flight("flight", 60.0, seed=1)
+    again = tmp_path / "again.tlog"
+    frames = simulate.write_tlog(again, flight, simulate.RECORDED_RATES_HZ)
+    assert again.read_bytes() == simulated_tlog.read_bytes()
+    log = read_tlog(again)
+    assert len(log.frames) == frames
+    assert not any(log.damaged.values())
+    counts = {name: len(table) for (_, _, name), table in log.tables.items()}
+    assert counts == {
+        name: round(60 * rate) + 1 for name, rate in simulate.RECORDED_RATES_HZ.items()
+    }
+
+
+def test_the_written_truth_is_the_flights_on_the_clock_of_the_imu(simulated_tlog):
+    recording = recording_from_tlog(simulated_tlog)
+    (truth,) = [reference for reference in recording.references if reference.is_truth]
+    flight = make_flight("flight", 60.0, seed=1)
+    rows = flight.rows[np.arange(len(truth.time_ns)) * 8]
+    np.testing.assert_allclose(truth.ned_from_body, rows["ned_from_body"], atol=1e-6)
+    since_ns = truth.time_ns - truth.time_ns[0]
+    np.testing.assert_allclose(since_ns / 1e9, rows["time_s"], atol=1e-6)
+
+
+class Companion(asyncio.DatagramProtocol):
+    """A component that asks for HIGHRES_IMU at the first heartbeat and answers with ATTITUDE."""
+
+    def __init__(self):
+        self.names = []
+        self._decoder = Decoder(datagrams=True)
+        self._encoder = Encoder(1, 191)
+
+    def connection_made(self, transport):
+        self._transport = transport
+
+    def datagram_received(self, data, addr):
+        for message, _ in self._decoder.feed(data):
+            name = message.get_type()
+            self.names.append(name)
+            if name == "HEARTBEAT" and self.names.count(name) == 1:
+                self._send(
+                    dialect.MAVLink_command_long_message(
+                        1, 1, dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 0, 105, 10_000, 0, 0, 0, 0, 0
+                    ),
+                    addr,
+                )
+            if name == "HIGHRES_IMU":
+                self._send(dialect.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0), addr)
+
+    def _send(self, message, addr):
+        self._transport.sendto(self._encoder.pack(message), addr)
+
+
+def test_it_flies_over_udp_and_counts_what_comes_back():
+    async def fly():
+        transport, companion = await asyncio.get_running_loop().create_datagram_endpoint(
+            Companion, local_addr=("127.0.0.1", 0)
+        )
+        port = transport.get_extra_info("sockname")[1]
+        flight = make_flight("rest", 10.0, rate_hz=200.0)
+        autopilot = simulate.SimulatedAutopilot(flight.rows, flight.rate_hz)
+        out = simulate.Console(quiet=True)
+        link = simulate.LinkFlight(autopilot, f"udpout:127.0.0.1:{port}", 10.0, out)
+        await link.fly()
+        async with asyncio.timeout(10.0):
+            while companion.names.count("HEARTBEAT") < 11:
+                await asyncio.sleep(0.01)
+        transport.close()
+        return companion, autopilot, link
+
+    companion, autopilot, link = asyncio.run(fly())
+    assert link.flown_s == 10.0
+    assert autopilot.counts.commands == {"SET_MESSAGE_INTERVAL ACCEPTED": 1}
+    assert companion.names.count("HIGHRES_IMU") > 500
+    assert companion.names.count("HEARTBEAT") == 11
+    assert link.link.counts.send_failures == 0
+    sent = autopilot.counts.sent["HIGHRES_IMU"]
+    assert 0.9 * sent <= autopilot.counts.received["ATTITUDE"] <= sent
+
+
+def test_a_signal_ends_it_with_its_report():
+    listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    listener.bind(("127.0.0.1", 0))
+    listener.settimeout(60.0)
+    uri = f"udpout:127.0.0.1:{listener.getsockname()[1]}"
+    program = subprocess.Popen(
+        [sys.executable, "-m", "ahrs_service.app.cli", "simulate", "--link", uri, "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        listener.recv(300)
+        program.send_signal(signal.SIGTERM)
+        output, errors = program.communicate(timeout=60.0)
+    finally:
+        program.kill()
+        listener.close()
+    assert program.returncode == 0, errors
+    report = json.loads(output)
+    assert report["scenario"] == "flight"
+    assert report["seconds"] < 60.0
+    assert report["sent"]["HEARTBEAT"] >= 1
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--scenario", "moon"], "'moon': choose one of flight"),
+        (["--rate", "3000"], "3000 Hz: choose 1 to 1000"),
+        (["--rate", "50"], "loop of 50 Hz cannot"),
+    ],
+)
+def test_what_cannot_be_flown_is_told(options, words, tmp_path, capsys):
+    assert main(["simulate", "--tlog", str(tmp_path / "x.tlog"), *options]) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_a_file_that_cannot_be_written_is_named(tmp_path, capsys):
+    path = tmp_path / "missing" / "x.tlog"
+    assert main(["simulate", "--tlog", str(path), "--seconds", "1"]) == 1
+    assert f"{path}: No such file" in capsys.readouterr().err
+
+
+def test_a_place_to_fly_to_is_needed(capsys):
+    with pytest.raises(SystemExit):
+        main(["simulate"])
+    assert "--link --tlog is required" in capsys.readouterr().err
