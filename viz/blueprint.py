@@ -73,13 +73,15 @@ def _attitude(
 ) -> rrb.TimeSeriesView:
     """Plot some of the three angles of ours and of theirs."""
     shown = rr.SeriesLines(visible_series=angles)
+    whose = (f"{entities.ATTITUDE}/ours", f"{entities.ATTITUDE}/theirs")
     return rrb.TimeSeriesView(
         origin=entities.ATTITUDE,
+        contents=list(whose),
         name=name,
         time_ranges=window,
         axis_x=rrb.TimeAxis(link="LinkToGlobal"),
         plot_legend=rrb.PlotLegend(visible=False),
-        overrides={f"{entities.ATTITUDE}/{whose}": shown for whose in ("ours", "theirs")},
+        overrides=dict.fromkeys(whose, shown),
     )
 
 

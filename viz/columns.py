@@ -18,7 +18,9 @@ from viz.scene import FORCE_SCALE, send_reference
 Floats = npt.NDArray[np.float64]
 
 SCENE_PERIOD_NS: Final = 40_000_000
-TEMPERATURE_PERIOD_NS: Final = 1_000_000_000
+SECOND_NS: Final = 1_000_000_000
+USED_TEMPERATURE: Final = "IMU used"
+USED_RATE: Final = "samples used"
 _AFTER_NS: Final = 1000
 
 _SCALARS: Final = rr.Scalars.descriptor_scalars()
@@ -43,8 +45,10 @@ class Columns:
         self._gate_changes = states.Changes()
         self._flag_changes = states.Changes()
         self._scene_changes = {entities.OURS: states.Changes(), entities.THEIRS: states.Changes()}
-        self._temperature_changes = states.Changes()
+        self._second_changes = states.Changes()
         self._last_ns: int | None = None
+        self._counted_ns: int | None = None
+        self._uncounted = 0
         self._styled: set[str] = set()
         self._time_of: Nanoseconds | None = None
 
@@ -63,8 +67,9 @@ class Columns:
         band = np.concatenate([bias, bias - sigma, bias + sigma], axis=1)
         self._scalars(entities.BIAS, t, band)
         self._scalars(entities.LOAD, t, self._load(rows))
-        second = self._temperature_changes.of(t // TEMPERATURE_PERIOD_NS)
-        self.temperature("imu", t[second], rows["temperature_degc"][second])
+        second = self._second_changes.of(t // SECOND_NS)
+        self.temperature(USED_TEMPERATURE, t[second], rows["temperature_degc"][second])
+        self._sample_rate(t, second)
         self._states(rows, t)
         self._scene(rows, t, euler[:, 2])
         self._last_ns = int(t[-1])
@@ -131,6 +136,18 @@ class Columns:
             ],
             axis=1,
         )
+
+    def _sample_rate(self, t: Nanoseconds, second: npt.NDArray[np.int64]) -> None:
+        """Send, at the first sample of each second, the rate since the first of the one before."""
+        first = [] if self._counted_ns is None else [(self._counted_ns, -self._uncounted)]
+        marks = np.array([*first, *zip(t[second], second, strict=True)], np.int64).reshape(-1, 2)
+        span_ns, count = np.diff(marks, axis=0).T
+        ahead = span_ns > 0
+        self.rate(USED_RATE, marks[1:, 0][ahead], count[ahead] * 1e9 / span_ns[ahead])
+        if len(second):
+            self._counted_ns, self._uncounted = int(t[second[-1]]), len(t) - int(second[-1])
+        else:
+            self._uncounted += len(t)
 
     def _states(self, rows: Rows, t: Nanoseconds) -> None:
         """Send changes of state; a gap begins just after the last sample before it."""

@@ -168,8 +168,12 @@ class LiveViewer:
         if references := _taken(self._references):
             t = clock.live(np.array([time_ns for time_ns, _ in references], np.int64))
             columns.reference("autopilot", t, np.array([attitude for _, attitude in references]))
+        sites: dict[str, list[tuple[int, float]]] = {}
         for site, time_ns, degc in _taken(self._temperatures):
-            columns.temperature(site, clock.live(np.array([time_ns])), np.array([degc]))
+            sites.setdefault(site, []).append((time_ns, degc))
+        for site, readings in sites.items():
+            t = clock.live(np.array([time_ns for time_ns, _ in readings], np.int64))
+            columns.temperature(site, t, np.array([degc for _, degc in readings]))
         now = np.array([clock.now_ns])
         for kind, values in _taken(self._values):
             send = columns.rate if kind == "rate" else columns.drops

@@ -27,7 +27,9 @@ def send_scene(recording: rr.RecordingStream) -> None:
     recording.log(
         entities.GATE,
         rr.StateConfiguration(
-            values=states.GATE_TEXTS, labels=states.GATE_TEXTS, colors=_rgba(*states.GATE_COLOURS)
+            values=states.GATE_TEXTS,
+            labels=[text.removeprefix("closed: ") for text in states.GATE_TEXTS],
+            colors=_rgba(*states.GATE_COLOURS),
         ),
         static=True,
     )
@@ -127,6 +129,6 @@ def _series(recording: rr.RecordingStream) -> None:
         widths=[1.75] * 3 + [0.75] * 6,
     )
     recording.log(entities.BIAS, bias, static=True)
-    reasons = ["norm", "rate", "angular acceleration", "innovation", "limit"]
+    reasons = ["norm", "rate", "ang. accel.", "innovation", "limit"]
     hues = [states.AMBER, Z, entities.VIOLET, states.ORANGE, states.RED]
     _style(recording, entities.LOAD, reasons, hues)

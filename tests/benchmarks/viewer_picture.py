@@ -21,6 +21,7 @@ from rerun.experimental import ViewerClient
 _BINARY = Path(rerun_cli.__file__).parent / "rerun"
 _BIND = ("--bind", "127.0.0.1")
 _SETTLE_S = 6.0
+_NOT_OURS = ("Software rasterizer", "welcome_screen")
 
 
 def _free_port() -> int:
@@ -57,7 +58,7 @@ def _complaints(client: ViewerClient) -> list[str]:
     entries = [
         entry for entry in client.get_logs() if str(entry.level).upper() in ("WARN", "ERROR")
     ]
-    return [str(entry) for entry in entries if "Software rasterizer" not in str(entry)]
+    return [str(e) for e in entries if not any(word in str(e) for word in _NOT_OURS)]
 
 
 def take(source: str, at_s: float | None, size: str) -> tuple[Image.Image, list[str]]:

@@ -132,11 +132,15 @@ def test_what_goes_with_the_estimates(written, flight, static):
     log = tables[entities.LOG]
     assert [cell[0] for cell in log.cells["TextLog:text"]] == ["low rate", "aligned"]
     assert [cell[0] for cell in log.cells["TextLog:level"]] == ["WARN", "INFO"]
-    imu = tables["/temperature/imu"]
+    imu = tables["/temperature/IMU\\ used"]
     _, first = np.unique(elapsed // 10**9, return_index=True)
     np.testing.assert_array_equal(
         imu.numbers("Scalars:scalars")[:, 0], flight["temperature_degc"][first]
     )
+    used = tables["/rates/samples\\ used"]
+    assert used.t.tolist() == elapsed[first][1:].tolist()
+    rate = np.diff(first) * 1e9 / np.diff(elapsed[first])
+    np.testing.assert_array_equal(used.numbers("Scalars:scalars")[:, 0], rate)
     assert shares[-1] == 1.0
     assert "Mesh3D:vertex_positions" in static(path)[f"{entities.THEIRS}/airframe"]
 
