@@ -44,7 +44,7 @@ class Recorder:
     `header` gives frames that go
     first into every file. `on_note` is told of every file begun or deleted, and once, when
     recording ended because the disk is full or cannot be written; frames are then counted as
-    dropped, and nothing is raised. Signatures are stripped and SETUP_SIGNING, which holds the
+    dropped, and nothing is raised. `last_stamp_us` is that of the last frame taken. Signatures are stripped and SETUP_SIGNING, which holds the
     key, is left out.
     """
 
@@ -58,6 +58,7 @@ class Recorder:
     ) -> None:
         self.counts = RecorderCounts()
         self.file: Path | None = None
+        self.last_stamp_us = 0
         self._path = Path(path)
         self._is_file = self._path.suffix == ".tlog"
         limit = limit_mb * MB if limit_mb > 0 else float("inf")
@@ -82,6 +83,7 @@ class Recorder:
         if self._fd < 0 and not self._begin(received_us):
             self.counts.dropped += 1
             return
+        self.last_stamp_us = received_us
         self._buffer += _STAMP.pack(received_us)
         self._buffer += frame
         self._waiting += 1

@@ -46,6 +46,7 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     log = read_tlog(path)
     assert pieces(log) == sent
     assert not any(log.damaged.values())
+    assert recorder.last_stamp_us == sent[-1][0]
     assert recorder.counts.frames == 5000
     assert recorder.counts.bytes == path.stat().st_size
     assert recorder.counts.dropped == 0
