@@ -44,8 +44,8 @@ class Recorder:
     `header` gives frames that go
     first into every file. `on_note` is told of every file begun or deleted, and once, when
     recording ended because the disk is full or cannot be written; frames are then counted as
-    dropped, and nothing is raised. `last_stamp_us` is that of the last frame taken. Signatures are stripped and SETUP_SIGNING, which holds the
-    key, is left out.
+    dropped, and nothing is raised. `last_stamp_us` is that of the last frame taken. Signatures
+    are stripped and SETUP_SIGNING, which holds the key, is left out.
     """
 
     def __init__(
