@@ -46,6 +46,11 @@ _MESSAGES: Final[tuple[tuple[str, Callable[[Rows], Floats], bool], ...]] = (
 )
 
 
+def _median(times_ns: Integers) -> int:
+    """Return the median of times near one another: double would round Unix time to 256 ns."""
+    return int(times_ns[0]) + int(np.median(times_ns - times_ns[0]))
+
+
 def attitude_references(
     tlog: TlogFile, readings: Rows, frame_index: npt.NDArray[np.int32]
 ) -> tuple[AttitudeReference, ...]:
@@ -89,7 +94,7 @@ def _imu_times(
     stamps = is_raw if is_raw.any() else np.ones(len(rows), np.bool_)
     return _ImuTimes(
         is_unix=bool(np.median(main["time_ns"]) >= _UNIX_FROM_NS),
-        lead_ns=int(np.median(main["time_ns"] - main["received_ns"])),
+        lead_ns=_median(main["time_ns"] - main["received_ns"]),
         time_ns=rows["time_ns"][stamps],
         frame_index=frame_index[mine][stamps],
     )
@@ -133,5 +138,5 @@ def _as_unix(
         offsets = unix_ns - clock["time_boot_ms"].astype(np.int64) * 1_000_000
         last = np.searchsorted(clock["frame_index"], table["frame_index"]) - 1
         return np.where(since_boot, time_ns + offsets[np.maximum(last, 0)], time_ns)
-    offset = imu.lead_ns + int(np.median(table["received_us"] * 1000 - time_ns))
+    offset = imu.lead_ns + _median(table["received_us"] * 1000 - time_ns)
     return np.where(since_boot, time_ns + offset, time_ns)
