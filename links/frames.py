@@ -55,26 +55,42 @@ _STAMP_SLACK_US = 3 * 86400 * 1_000_000
 _STAMP_LIMIT_US = (2**63 - 1) // 1000
 
 
-def _crc_table() -> npt.NDArray[np.uint16]:
-    table = np.zeros(256, np.uint16)
+def _crc_tables() -> npt.NDArray[np.int64]:
+    """Return [k, byte]: the change of the checksum by `byte` with k zero bytes behind it."""
+    tables = np.zeros((4, 256), np.int64)
     for byte in range(256):
         value = byte
         for _ in range(8):
             value = (value >> 1) ^ 0x8408 if value & 1 else value >> 1
-        table[byte] = value
-    return table
+        tables[0, byte] = value
+    for k in range(1, 4):
+        tables[k] = (tables[k - 1] >> 8) ^ tables[0, tables[k - 1] & 0xFF]
+    return tables
 
 
-_CRC = _crc_table()
+_CRC4 = _crc_tables()
 
 
 @njit(cache=True)
 def checksum(data: Bytes, start: int, stop: int, extra: int) -> int:
-    """Return CRC-16/MCRF4XX of data[start:stop] and the byte `extra` (MAVLink's CRC_EXTRA)."""
+    """Return CRC-16/MCRF4XX of data[start:stop] and the byte `extra` (MAVLink's CRC_EXTRA).
+
+    Four bytes a step, which their own tables make independent of one another.
+    """
     crc = 0xFFFF
-    for i in range(start, stop):
-        crc = (crc >> 8) ^ int(_CRC[(crc ^ int(data[i])) & 0xFF])
-    return (crc >> 8) ^ int(_CRC[(crc ^ extra) & 0xFF])
+    i = start
+    while i + 4 <= stop:
+        crc = (
+            _CRC4[3, (crc ^ data[i]) & 0xFF]
+            ^ _CRC4[2, (crc >> 8) ^ data[i + 1]]
+            ^ _CRC4[1, data[i + 2]]
+            ^ _CRC4[0, data[i + 3]]
+        )
+        i += 4
+    while i < stop:
+        crc = (crc >> 8) ^ _CRC4[0, (crc ^ data[i]) & 0xFF]
+        i += 1
+    return (crc >> 8) ^ _CRC4[0, (crc ^ extra) & 0xFF]
 
 
 @njit(cache=True)
@@ -281,7 +297,7 @@ def flip_in_checksum(flip: int, bytes_after: int) -> int:
 
     `bytes_after` are those the checksum takes after it, CRC_EXTRA included.
     """
-    change = int(_CRC[flip & 0xFF])
+    change = _CRC4[0, flip & 0xFF]
     for _ in range(bytes_after):
-        change = (change >> 8) ^ int(_CRC[change & 0xFF])
-    return change
+        change = (change >> 8) ^ _CRC4[0, change & 0xFF]
+    return int(change)

@@ -6,7 +6,7 @@ as the live service did, and other readers of the file skip the messages.
 """
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Final
@@ -34,6 +34,7 @@ class Mark:
 
 
 _PART: Final = struct.Struct("<HH")
+_KINDS: Final = frozenset(int(kind) for kind in MarkKind)
 _PAYLOAD: Final = 128
 _PART_BYTES: Final = _PAYLOAD - _PART.size
 
@@ -52,7 +53,7 @@ def mark_messages(kind: MarkKind, data: bytes) -> list[Any]:
     return messages
 
 
-def read_marks(tables: dict[tuple[int, int, str], Rows]) -> Iterator[Mark]:
+def read_marks(tables: Mapping[tuple[int, int, str], Rows]) -> Iterator[Mark]:
     """Yield the marks of a recording's message tables, in file order.
 
     An incomplete one, as at the end of a cut file, is passed over.
@@ -62,10 +63,10 @@ def read_marks(tables: dict[tuple[int, int, str], Rows]) -> Iterator[Mark]:
         return
     table = np.concatenate(rows)
     pending: dict[int, list[bytes]] = {}
-    for row in table[np.argsort(table["frame"], kind="stable")]:
+    for row in table[np.argsort(table["frame_index"], kind="stable")]:
         kind = int(row["payload_type"])
         length = int(row["payload_length"])
-        if kind not in iter(MarkKind) or not _PART.size <= length <= _PAYLOAD:
+        if kind not in _KINDS or not _PART.size <= length <= _PAYLOAD:
             continue
         payload = row["payload"][:length].tobytes()
         index, count = _PART.unpack_from(payload)
@@ -76,5 +77,5 @@ def read_marks(tables: dict[tuple[int, int, str], Rows]) -> Iterator[Mark]:
             continue
         parts.append(payload[_PART.size :])
         if len(parts) == count:
-            yield Mark(MarkKind(kind), b"".join(parts), int(row["frame"]))
+            yield Mark(MarkKind(kind), b"".join(parts), int(row["frame_index"]))
             pending.pop(kind)

@@ -6,6 +6,7 @@ import sys
 from typing import Final
 
 from rich.console import Console
+from rich.markup import escape
 
 from ahrs_service.app.config_file import ConfigError
 from links.errors import LinkError
@@ -54,10 +55,10 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         return int(module.run(parser.parse_args(words[1:])))
     except ConfigError as error:
-        errors.print(f"[bold red]error:[/] {error}", markup=True)
+        errors.print(f"[bold red]error:[/] {escape(str(error))}")
         return EXIT_USAGE
     except LinkError as error:
-        errors.print(f"[bold red]error:[/] {error}", markup=True)
+        errors.print(f"[bold red]error:[/] {escape(str(error))}")
         return EXIT_FAILED
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED

@@ -31,7 +31,7 @@ def log_table(summary: Summary) -> RenderableType:
         table.add_row(name, escape(text))
     parts: list[RenderableType] = [table]
     if summary.comparison is not None:
-        parts.append(_error_table(summary))
+        parts.append(error_table(summary))
     parts += [Text(f"warning: {warning}", style="yellow") for warning in summary.warnings]
     return Group(*parts)
 
@@ -141,7 +141,7 @@ def _heading(summary: Summary) -> str:
     )
 
 
-def _error_table(summary: Summary) -> Table:
+def error_table(summary: Summary) -> Table:
     found = summary.comparison
     assert found is not None
     kind = "truth" if summary.reference_is_truth else "the log's own estimate"

@@ -78,3 +78,19 @@ def _as_shares(time_ns: dict[tuple[int, int], int]) -> dict[str, float]:
     total = sum(time_ns.values()) or 1
     ordered = sorted(time_ns.items(), key=lambda item: -item[1])
     return {gate_text(*key): value / total for key, value in ordered if value}
+
+
+@dataclass(slots=True)
+class Session:
+    """What a live session did so far.
+
+    `published` messages with our attitude, `not_sent` frames the link refused;
+    `first_attitude_s` from the start of the service [s].
+    """
+
+    latency: Latency = field(default_factory=Latency)
+    gates: GateShares = field(default_factory=GateShares)
+    estimates: int = 0
+    published: int = 0
+    not_sent: int = 0
+    first_attitude_s: float = float("nan")

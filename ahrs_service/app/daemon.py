@@ -1,0 +1,282 @@
+"""The live service: one event loop from the bytes of a link to the attitude sent back.
+
+A frame that arrives is recorded, estimated and published inside one callback; everything else
+(heartbeat, intervals, health, viewer figures) is done by a slow tick of the same loop, so that a
+stuck loop shows on the link as a missing heartbeat.
+"""
+
+import asyncio
+import contextlib
+import gc
+import math
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+from ahrs_service.app import config_file
+from ahrs_service.app.observer import Observer
+from ahrs_service.app.statistics import Session
+from ahrs_service.estimator import Estimator, compile_kernels
+from ahrs_service.health import Health, HealthMonitor
+from ahrs_service.records import READING_DTYPE, Phase, Record, Rows, empty
+from ahrs_service.settings import Settings
+from links import readings
+from links.component import Component
+from links.link import LinkState, Peer
+from links.mavlink_codec import Decoder, Encoder
+from links.recorder import Recorder
+from links.registry import open_link
+from links.service_notify import ServiceNotifier
+from links.session_marks import MarkKind, mark_messages
+from links.signing import Signer, key_from_text
+
+TICK_S: Final = 0.05
+_TICKS_PER_SECOND: Final = 20
+
+_MAV_STATE: Final = {
+    Health.NO_VEHICLE: "boot",
+    Health.NO_IMU: "critical",
+    Health.ALIGNING: "boot",
+    Health.GOOD: "active",
+    Health.DEGRADED: "active",
+}
+
+Log = Callable[[str, str], None]
+"""Called with a level (`info`, `warning`, `error`) and a sentence."""
+
+
+class Daemon:
+    """The service on one link; `run` serves until `stop`.
+
+    `on_estimate` is given every estimate [1], a view that the next one overwrites. `session`,
+    `health`, `latest`, `component`, `decoder` and `link` can be looked at meanwhile.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        log: Log,
+        on_estimate: Callable[[Rows], None] | None = None,
+    ) -> None:
+        self.settings = settings
+        self.session = Session()
+        self.health = HealthMonitor()
+        self.estimator = Estimator(settings)
+        self.latest: Record | None = None
+        self.recorder: Recorder | None = None
+        self.observer: Observer | None = None
+        self.component = Component(settings)
+        self.link = open_link(settings.link.uri, self._on_bytes, self._on_link_state)
+        self._signer = _make_signer(settings)
+        self.decoder = Decoder(self._signer, datagrams=self.link.is_datagram)
+        self._encoder: Encoder | None = None
+        self._log = log
+        self._on_estimate = on_estimate
+        self.ready = asyncio.Event()
+        self._stop = asyncio.Event()
+        self._started_s = time.monotonic()
+        self._rows = empty(READING_DTYPE, 1)
+        self._notifier = ServiceNotifier()
+        self._ticks = 0
+        self._received_us = 0
+
+    # -- life ---------------------------------------------------------------------------------
+
+    async def run(self) -> None:
+        """Serve until `stop` is called; every file is whole when this returns or raises."""
+        compile_kernels(self.settings)
+        self._open_outputs()
+        try:
+            await self.link.start()
+            self._notifier.ready(f"listening on {self.settings.link.uri}")
+            # What start-up made is never garbage; looking through it again would cost latency.
+            gc.collect()
+            gc.freeze()
+            self.ready.set()
+            await self._tick_until_stopped()
+        finally:
+            self._notifier.stopping()
+            await self.link.close()
+            self._close_outputs()
+            gc.unfreeze()
+
+    def stop(self) -> None:
+        """End the session; may be called by a signal handler of the loop."""
+        self._stop.set()
+
+    def _open_outputs(self) -> None:
+        recorder, viewer = self.settings.recorder, self.settings.viewer
+        if viewer.port or viewer.rrd:
+            self.observer = Observer(self.settings)
+            self._log("info", f"viewer: {self.observer.where}")
+        if recorder.directory:
+            self.recorder = Recorder(
+                recorder.directory,
+                recorder.rotate_mb,
+                recorder.limit_mb,
+                header=self._recording_header,
+                on_note=lambda text: self._say("info", text),
+            )
+
+    def _close_outputs(self) -> None:
+        if self.recorder is not None:
+            self.recorder.close()
+        if self.observer is not None:
+            self.observer.close()
+        if self._signer is not None:
+            self._signer.save()
+        self._notifier.close()
+
+    # -- the path of a frame ------------------------------------------------------------------
+
+    def _on_bytes(self, data: bytes, received_us: int, peer: Peer) -> None:
+        started_s = time.perf_counter()
+        for message, frame in self.decoder.feed(data):
+            self._take(message, frame, received_us, peer, started_s)
+
+    def _take(
+        self, message: Any, frame: bytes, received_us: int, peer: Peer, started_s: float
+    ) -> None:
+        """Record, estimate and publish, then let the component answer."""
+        self._received_us = received_us
+        if self.recorder is not None:
+            self.recorder.write(received_us, frame)
+        if readings.from_message(message, received_us * 1000, self._rows):
+            estimates = self.estimator.take(self._rows)
+            if len(estimates):
+                self._use(estimates, started_s)
+        now_s = time.monotonic()
+        for reply in self.component.on_message(message, now_s):
+            self._send(reply)
+        if self.component.is_vehicle(message):
+            self.link.confirm(peer)
+            if self.observer is not None:
+                self.observer.message(message)
+        self._take_new_settings()
+
+    def _use(self, estimates: Rows, started_s: float) -> None:
+        """Publish one estimate and tell whoever looks."""
+        estimate = estimates[0]
+        if estimate["phase"] == Phase.RUNNING:
+            sent = 0
+            for message in self.component.publish(estimate):
+                sent += self._send(message)
+            if sent:
+                self.session.latency.add(time.perf_counter() - started_s)
+                self.session.published += sent
+                if math.isnan(self.session.first_attitude_s):
+                    self.session.first_attitude_s = time.monotonic() - self._started_s
+        self.session.estimates += 1
+        self.session.gates.add(estimate)
+        self.health.sample(estimate, time.monotonic())
+        self.latest = estimate
+        if self.observer is not None:
+            self.observer.estimate(estimates)
+        if self._on_estimate is not None:
+            self._on_estimate(estimates)
+
+    def _send(self, message: Any) -> bool:
+        """Pack and send one message; the system is known from the adoption on."""
+        if self._encoder is None:
+            self._encoder = Encoder(
+                self.component.system, self.settings.link.component, self._signer
+            )
+        sent = self.link.send(self._encoder.pack(message))
+        self.session.not_sent += not sent
+        return sent
+
+    def _on_link_state(self, state: LinkState, why: str) -> None:
+        self._say("info" if state is LinkState.UP else "warning", why)
+        if state is LinkState.UP:
+            # Half a frame of the lost connection must not meet the first bytes of the new one.
+            self.decoder = Decoder(self._signer, datagrams=self.link.is_datagram)
+
+    # -- settings that change in flight -------------------------------------------------------
+
+    def _take_new_settings(self) -> None:
+        """Put a PARAM_SET that the component accepted into force, and into the recording."""
+        settings = self.component.settings
+        if settings is self.settings:
+            return
+        self.settings = settings
+        self.estimator.configure(settings)
+        if self.recorder is not None:
+            for frame in self._mark(MarkKind.SETTINGS, config_file.to_json(settings)):
+                self.recorder.write(self._received_us, frame)
+
+    def _mark(self, kind: MarkKind, data: bytes) -> list[bytes]:
+        encoder = Encoder(self.component.system or 1, self.settings.link.component)
+        return [encoder.pack(message) for message in mark_messages(kind, data)]
+
+    def _recording_header(self) -> list[bytes]:
+        """Frames that begin every file: the settings and, in mid-session, the state."""
+        frames = self._mark(MarkKind.SETTINGS, config_file.to_json(self.settings))
+        if self.session.estimates or self.component.system:
+            frames += self._mark(MarkKind.STATE, self.estimator.save())
+        return frames
+
+    # -- the tick -----------------------------------------------------------------------------
+
+    async def _tick_until_stopped(self) -> None:
+        while not self._stop.is_set():
+            self._tick(time.monotonic())
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._stop.wait(), TICK_S)
+
+    def _tick(self, now_s: float) -> None:
+        """Do what is due by time and not by a message."""
+        for message in self.component.tick(now_s, _MAV_STATE[self.health.state]):
+            self._send(message)
+        for level, text in self.component.drain_events():
+            self._say(level, text)
+        change = self.health.update(self.component.system != 0, now_s)
+        if change:
+            good = self.health.state in (Health.GOOD, Health.ALIGNING)
+            self._say("info" if good else "warning", f"health: {change}")
+            self.component.announce(change, good, now_s)
+        self._ticks += 1
+        if self._ticks % _TICKS_PER_SECOND == 0:
+            self._each_second()
+
+    def _each_second(self) -> None:
+        self._notifier.watchdog()
+        self._notifier.status(f"{self.health.state.value}, {self.session.estimates} samples")
+        if self.recorder is not None:
+            self.recorder.flush()
+        if self.observer is not None:
+            rates = {rate.name: rate.measured_hz for rate in self.component.rates()}
+            self.observer.figures(rates, self.drops())
+
+    def drops(self) -> dict[str, int]:
+        """Return everything that was lost so far, by what it was."""
+        counts = self.decoder.counts
+        lost = {name: count for name, count in counts.items() if name != "frames"}
+        lost["not_sent"] = self.session.not_sent
+        if self.recorder is not None:
+            lost["not_recorded"] = self.recorder.counts.dropped
+        if self.observer is not None:
+            lost["not_shown"] = self.observer.dropped
+        return lost
+
+    def _say(self, level: str, text: str) -> None:
+        self._log(level, text)
+        if self.observer is not None:
+            self.observer.log(level, text)
+
+
+def _make_signer(settings: Settings) -> Signer | None:
+    link = settings.link
+    if not link.signing_key:
+        return None
+    return Signer(key_from_text(link.signing_key), link.signing_link, _signing_file())
+
+
+def _signing_file() -> Path:
+    """Return where the signing stamps are kept, so that a restart never uses one twice."""
+    home = os.environ.get("STATE_DIRECTORY") or os.environ.get("XDG_STATE_HOME")
+    folder = Path(home) if home else Path.home() / ".local" / "state"
+    path = folder / "ahrs-service" / "signing.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path

@@ -1,0 +1,196 @@
+"""Fly a simulated aircraft and watch the service work.
+
+A simulated autopilot flies as a process of its own and speaks MAVLink 2 over loopback UDP; the
+service estimates attitude from its IMU, sends ATTITUDE back, records a .tlog and an .rrd. At the
+end the recording is replayed: attitude error against the simulator's truth, and the proof that
+live and replay gave the same bytes.
+
+Examples:
+  ahrs-service demo
+  ahrs-service demo --seconds 120 --out demo_output --headless
+
+"""
+
+import argparse
+import asyncio
+import contextlib
+import dataclasses
+import importlib.util
+import json
+import os
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any, Final
+
+from rich.console import Console
+from rich.table import Table
+
+from ahrs_service.app import config_file
+from ahrs_service.app.daemon import Daemon
+from ahrs_service.app.replay_log import ReplayResult, replay_log
+from ahrs_service.app.report import error_table
+from ahrs_service.app.run import DEFAULT_VIEWER_PORT, showing
+from ahrs_service.app.terminal import TerminalLog, session_table
+from ahrs_service.settings import Settings
+
+_HOST: Final = "127.0.0.1"
+EXIT_DONE: Final = 0
+EXIT_FAILED: Final = 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `demo`."""
+    parser.add_argument("--seconds", type=float, default=60.0, help="length of the flight")
+    parser.add_argument("--scenario", default="flight", help="see ahrs-service simulate --help")
+    parser.add_argument("--seed", type=int, default=1, help="another seed is another flight")
+    parser.add_argument(
+        "--out", type=Path, default=Path("demo_output"), metavar="DIR", help="for .tlog and .rrd"
+    )
+    parser.add_argument(
+        "--headless", action="store_true", help="open no viewer window, also where a screen is"
+    )
+    parser.add_argument(
+        "--set",
+        dest="overrides",
+        metavar="SECTION.KEY=VALUE",
+        action="append",
+        default=[],
+        help="change one setting of the service",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fly, then report; return the exit code."""
+    console = Console()
+    files = _files(arguments.out)
+    settings = _settings(arguments.overrides, files)
+    console.print("[dim]compiling kernels (some seconds on the first start)[/]")
+    flown = asyncio.run(_fly(settings, arguments, console))
+    if flown is None:
+        return EXIT_FAILED
+    daemon, autopilot = flown
+    console.print(session_table(daemon))
+    result = replay_log(files / "flight.tlog")
+    console.print(error_table(result.summary))
+    return _verdict(console, daemon, autopilot, result, files)
+
+
+def _files(out: Path) -> Path:
+    """Make a new folder for this flight, so that no earlier one is overwritten."""
+    name = time.strftime("%Y%m%d-%H%M%S")
+    for suffix in ("", *(f"-{n}" for n in range(2, 100))):
+        folder = out / f"{name}{suffix}"
+        with contextlib.suppress(FileExistsError):
+            folder.mkdir(parents=True)
+            return folder
+    raise config_file.ConfigError(f"--out {out}: too many folders named {name}")
+
+
+def _free_port(kind: socket.SocketKind, wanted: int = 0) -> int:
+    """Return `wanted` if that loopback port is free, else any free one."""
+    for port in (wanted, 0):
+        with socket.socket(socket.AF_INET, kind) as probe, contextlib.suppress(OSError):
+            probe.bind((_HOST, port))
+            return int(probe.getsockname()[1])
+    raise config_file.ConfigError("no free port on the loopback interface")
+
+
+def _settings(overrides: list[str], files: Path) -> Settings:
+    settings = config_file.load(None, overrides)
+    link = dataclasses.replace(settings.link, uri=f"udpin:{_HOST}:{_free_port(socket.SOCK_DGRAM)}")
+    recorder = dataclasses.replace(settings.recorder, directory=str(files / "flight.tlog"))
+    viewer = dataclasses.replace(
+        settings.viewer,
+        port=_free_port(socket.SOCK_STREAM, DEFAULT_VIEWER_PORT),
+        rrd=str(files / "flight.rrd"),
+    )
+    return dataclasses.replace(settings, link=link, recorder=recorder, viewer=viewer)
+
+
+async def _fly(
+    settings: Settings, arguments: argparse.Namespace, console: Console
+) -> tuple[Daemon, dict[str, Any]] | None:
+    """Run service and simulator together until the flight ends."""
+    log = TerminalLog(console)
+    daemon = Daemon(settings, log)
+    serving = asyncio.create_task(daemon.run())
+    await daemon.ready.wait()
+    window = _open_viewer(daemon, arguments.headless, log)
+    port = settings.link.uri.rpartition(":")[2]
+    try:
+        with showing(daemon, console, table=True):
+            simulator = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-m", "ahrs_service.app.cli", "simulate", "--json"),
+                *("--link", f"udpout:{_HOST}:{port}", "--seconds", str(arguments.seconds)),
+                *("--scenario", arguments.scenario, "--seed", str(arguments.seed)),
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+            )
+            try:
+                out, errors = await simulator.communicate()
+            finally:
+                if simulator.returncode is None:
+                    simulator.terminate()
+            # What is still in the socket belongs to the flight.
+            await asyncio.sleep(0.2)
+    finally:
+        daemon.stop()
+        await serving
+        if window is not None:
+            log("info", "the viewer stays open; close its window when done")
+    if simulator.returncode:
+        log("error", f"the simulator ended with an error: {errors.decode().strip()}")
+        return None
+    return daemon, json.loads(out.decode().splitlines()[-1])
+
+
+def _open_viewer(
+    daemon: Daemon, headless: bool, log: TerminalLog
+) -> "subprocess.Popen[bytes] | None":
+    """Open the viewer's window where there is a screen, else say how to attach one."""
+    uri = f"rerun+http://{_HOST}:{daemon.settings.viewer.port}/proxy"
+    screen = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    if headless or not (screen or sys.platform == "darwin"):
+        log("info", f"to look inside while it flies: rerun --connect {uri}")
+        return None
+    if importlib.util.find_spec("rerun_cli") is None:
+        log("warning", f"no viewer installed; elsewhere: rerun --connect {uri}")
+        return None
+    return subprocess.Popen(
+        [sys.executable, "-m", "rerun_cli", "--connect", uri],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+
+
+def _verdict(
+    console: Console,
+    daemon: Daemon,
+    autopilot: dict[str, Any],
+    result: ReplayResult,
+    files: Path,
+) -> int:
+    """Say what the autopilot got, whether live equals replay, and where the files are."""
+    table = Table(show_header=False)
+    table.add_column(style="bold")
+    table.add_column(overflow="fold")
+    received = autopilot["attitudes_received"]
+    table.add_row(
+        "autopilot got", ", ".join(f"{n} {name}" for name, n in received.items()) or "no attitude"
+    )
+    equal = daemon.estimator.digest.hexdigest() == result.summary.digest
+    count = len(result.estimates)
+    table.add_row(
+        "live and replay",
+        f"[green]equal, bit for bit[/] ({count} estimates)" if equal else "[bold red]differ[/]",
+    )
+    first_s = daemon.session.first_attitude_s
+    table.add_row("first attitude", f"{first_s:.1f} s after the service started")
+    table.add_row("recording", f"{files / 'flight.tlog'}   (ahrs-service replay FILE)")
+    table.add_row("viewer file", f"{files / 'flight.rrd'}   (rerun FILE)")
+    console.print(table)
+    return EXIT_DONE if equal and received else EXIT_FAILED

@@ -1,0 +1,115 @@
+"""Serve attitude on a MAVLink link.
+
+Reads the autopilot's IMU, estimates attitude, sends ATTITUDE back as component 191, and, where
+told so, records a .tlog and hosts a Rerun stream.
+
+Examples:
+  ahrs-service run --link udpin:127.0.0.1:14550
+  ahrs-service run --link serial:/dev/ttyAMA0:921600 --record flights --viewer
+  ahrs-service run --config configs/ardupilot.toml --set publish.attitude_rate_hz=100
+
+"""
+
+import argparse
+import asyncio
+import dataclasses
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final
+
+from rich.console import Console
+from rich.live import Live
+
+from ahrs_service.app import config_file
+from ahrs_service.app.daemon import Daemon
+from ahrs_service.app.terminal import TerminalLog, live_table, session_table
+from ahrs_service.settings import Settings
+
+DEFAULT_VIEWER_PORT: Final = 9876
+_REFRESH_HZ: Final = 4
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `run`."""
+    parser.add_argument(
+        "--link",
+        metavar="URI",
+        help="udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEV:BAUD",
+    )
+    parser.add_argument("--config", metavar="FILE", help="settings as TOML, see configs/")
+    parser.add_argument(
+        "--set",
+        dest="overrides",
+        metavar="SECTION.KEY=VALUE",
+        action="append",
+        default=[],
+        help="change one setting; may be given more than once",
+    )
+    parser.add_argument("--record", metavar="PATH", help="folder or .tlog file to record to")
+    parser.add_argument(
+        "--viewer",
+        nargs="?",
+        type=int,
+        const=DEFAULT_VIEWER_PORT,
+        metavar="PORT",
+        help=f"host a Rerun stream on loopback (default port {DEFAULT_VIEWER_PORT})",
+    )
+    parser.add_argument("--rrd", metavar="FILE", help="also write the Rerun stream to this file")
+    parser.add_argument("--seconds", type=float, metavar="S", help="end by itself after S seconds")
+    parser.add_argument("--quiet", action="store_true", help="log lines only, no live table")
+
+
+def settings_from(arguments: argparse.Namespace) -> Settings:
+    """Return the effective settings: file, then --set, then the options."""
+    settings = config_file.load(arguments.config, arguments.overrides)
+    link, recorder, viewer = settings.link, settings.recorder, settings.viewer
+    if arguments.link:
+        link = dataclasses.replace(link, uri=arguments.link)
+    if arguments.record:
+        recorder = dataclasses.replace(recorder, directory=arguments.record)
+    if arguments.viewer is not None:
+        viewer = dataclasses.replace(viewer, port=arguments.viewer)
+    if arguments.rrd:
+        viewer = dataclasses.replace(viewer, rrd=arguments.rrd)
+    return dataclasses.replace(settings, link=link, recorder=recorder, viewer=viewer)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Serve until SIGINT, SIGTERM or the time is up; return the exit code."""
+    settings = settings_from(arguments)
+    console = Console()
+    console.print(f"[dim]settings: {settings.link.uri}; compiling kernels on the first start[/]")
+    daemon = asyncio.run(
+        serve(settings, console, table=not arguments.quiet, seconds=arguments.seconds)
+    )
+    console.print(session_table(daemon))
+    return 0
+
+
+async def serve(settings: Settings, console: Console, table: bool, seconds: float | None) -> Daemon:
+    """Run one daemon with its live table; SIGTERM and SIGINT end it cleanly."""
+    daemon = Daemon(settings, TerminalLog(console))
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, daemon.stop)
+    if seconds is not None:
+        loop.call_later(seconds, daemon.stop)
+    with showing(daemon, console, table):
+        await daemon.run()
+    return daemon
+
+
+@contextmanager
+def showing(daemon: Daemon, console: Console, table: bool) -> Iterator[None]:
+    """Keep the live table on a terminal; nothing where the output is no terminal."""
+    if not (table and console.is_terminal):
+        yield
+        return
+    with Live(
+        console=console,
+        get_renderable=lambda: live_table(daemon),
+        refresh_per_second=_REFRESH_HZ,
+        vertical_overflow="crop",
+    ):
+        yield

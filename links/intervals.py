@@ -1,0 +1,244 @@
+"""Message rates: asks for each by SET_MESSAGE_INTERVAL, checks the answer, measures what comes.
+
+COMMAND_ACK names the command and not the message, so one request is under way at a time. A denied
+rate steps down a ladder (ArduPilot grants at most 0.8 of its loop rate, in whole milliseconds),
+a rate that is lost (a ground station or a reboot reset it) is asked for again, and an autopilot
+that answers nothing is asked once in the old way, by REQUEST_DATA_STREAM.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from links.mavlink_codec import dialect
+
+LADDER_HZ: Final = (
+    1000.0,
+    400.0,
+    333.0,
+    250.0,
+    200.0,
+    100.0,
+    50.0,
+    40.0,
+    25.0,
+    10.0,
+    5.0,
+    2.0,
+    1.0,
+)
+ANSWER_S: Final = 0.7
+ATTEMPTS: Final = 3
+WINDOW_S: Final = 2.0
+SETTLING_S: Final = 5.0
+"""A rate is judged this long after it was granted, not before."""
+ASK_AGAIN_S: Final = 10.0
+LONGEST_ASK_AGAIN_S: Final = 120.0
+LOST_SHARE: Final = 0.5
+
+_SET_INTERVAL: Final = int(dialect.MAV_CMD_SET_MESSAGE_INTERVAL)
+_ACCEPTED: Final = int(dialect.MAV_RESULT_ACCEPTED)
+_IN_PROGRESS: Final = int(dialect.MAV_RESULT_IN_PROGRESS)
+_REFUSED: Final = (
+    int(dialect.MAV_RESULT_DENIED),
+    int(dialect.MAV_RESULT_FAILED),
+    int(dialect.MAV_RESULT_TEMPORARILY_REJECTED),
+)
+
+
+@dataclass(slots=True)
+class Rate:
+    """One message: rates asked, granted and measured [Hz], and how that stands in words."""
+
+    name: str
+    message_id: int
+    wanted_hz: float
+    asked_hz: float
+    granted_hz: float | None = None
+    measured_hz: float = 0.0
+    state: str = "not asked yet"
+    settled_s: float = float("inf")
+    retry_s: float = float("-inf")
+    patience_s: float = ASK_AGAIN_S
+    attempts: int = 0
+    count: int = 0
+
+
+class Intervals:
+    """Keeps the wanted rates; `events` tell what a user should know, until taken."""
+
+    def __init__(self, wanted_hz: Mapping[str, float]) -> None:
+        self.rates: dict[int, Rate] = {}
+        self.events: list[tuple[str, str]] = []
+        self._asking: Rate | None = None
+        self._deadline_s = 0.0
+        self._window_s = float("-inf")
+        self._answered = False
+        self._old_way = False
+        for name, hertz in wanted_hz.items():
+            self.want(name, hertz)
+
+    def want(self, name: str, hertz: float) -> None:
+        """Want a message at `hertz`, or at more than was wanted before."""
+        message_id = int(getattr(dialect, f"MAVLINK_MSG_ID_{name}"))
+        known = self.rates.get(message_id)
+        if known is None or hertz > known.wanted_hz:
+            self.rates[message_id] = Rate(name, message_id, hertz, hertz)
+
+    def find(self, name: str) -> Rate | None:
+        """Return the rate of one message, None if it is not wanted."""
+        return self.rates.get(int(getattr(dialect, f"MAVLINK_MSG_ID_{name}")))
+
+    def forget(self) -> None:
+        """Ask for everything anew: the autopilot restarted or the link came back."""
+        self._asking = None
+        for rate in self.rates.values():
+            rate.asked_hz, rate.granted_hz = rate.wanted_hz, None
+            rate.retry_s, rate.patience_s, rate.attempts = float("-inf"), ASK_AGAIN_S, 0
+            rate.state = "not asked yet"
+
+    def heard(self, message_id: int) -> None:
+        """Count one message of the autopilot."""
+        rate = self.rates.get(message_id)
+        if rate is not None:
+            rate.count += 1
+
+    def tick(self, now_s: float, system: int, component: int) -> list[Any]:
+        """Measure, and return the request that is due, if any."""
+        self._measure(now_s)
+        if self._asking is not None:
+            if now_s < self._deadline_s:
+                return []
+            self._give_up_waiting(self._asking, now_s)
+        if self._asking is None:
+            self._asking = self._next_to_ask(now_s)
+        if self._asking is None:
+            return self._ask_the_old_way(system, component)
+        self._asking.attempts += 1
+        self._deadline_s = now_s + ANSWER_S
+        interval_us = 1e6 / self._asking.asked_hz
+        return [
+            dialect.MAVLink_command_long_message(
+                system,
+                component,
+                _SET_INTERVAL,
+                self._asking.attempts - 1,
+                self._asking.message_id,
+                interval_us,
+                0,
+                0,
+                0,
+                0,
+                0,
+            )
+        ]
+
+    def on_ack(self, command: int, result: int, now_s: float) -> None:
+        """Take the autopilot's answer to the request under way."""
+        rate = self._asking
+        if command != _SET_INTERVAL or rate is None:
+            return
+        self._answered = True
+        if result == _IN_PROGRESS:
+            self._deadline_s = now_s + ANSWER_S
+            return
+        self._asking = None
+        rate.attempts = 0
+        if result == _ACCEPTED:
+            self._grant(rate, now_s)
+        elif result in _REFUSED:
+            self._step_down(rate, now_s)
+        else:
+            rate.state = "unsupported"
+            rate.retry_s = float("inf")
+
+    def _grant(self, rate: Rate, now_s: float) -> None:
+        changed = rate.granted_hz != rate.asked_hz
+        rate.granted_hz = rate.asked_hz
+        rate.settled_s = now_s + SETTLING_S
+        rate.retry_s = float("inf")
+        rate.state = "granted"
+        if changed and rate.asked_hz < rate.wanted_hz:
+            self.events.append(
+                (
+                    "warning",
+                    f"{rate.name}: {rate.wanted_hz:.0f} Hz denied, {rate.asked_hz:.0f} Hz granted; "
+                    "a higher loop rate of the autopilot allows more",
+                )
+            )
+
+    def _step_down(self, rate: Rate, now_s: float) -> None:
+        lower = [hertz for hertz in LADDER_HZ if hertz < rate.asked_hz]
+        if lower:
+            rate.asked_hz = lower[0]
+            rate.retry_s = now_s
+            rate.state = f"denied, asking for {rate.asked_hz:.0f} Hz"
+            return
+        rate.state, rate.retry_s = "denied", now_s + LONGEST_ASK_AGAIN_S
+        rate.asked_hz = rate.wanted_hz
+
+    def _give_up_waiting(self, rate: Rate, now_s: float) -> None:
+        if rate.attempts < ATTEMPTS:
+            return
+        self._asking = None
+        rate.attempts = 0
+        rate.state = "no answer"
+        rate.retry_s = now_s + rate.patience_s
+        rate.patience_s = min(2.0 * rate.patience_s, LONGEST_ASK_AGAIN_S)
+
+    def _next_to_ask(self, now_s: float) -> Rate | None:
+        due = [rate for rate in self.rates.values() if rate.retry_s <= now_s]
+        return due[0] if due else None
+
+    def _ask_the_old_way(self, system: int, component: int) -> list[Any]:
+        """Ask once by streams, when every request went without an answer."""
+        silent = all(rate.state == "no answer" for rate in self.rates.values())
+        if self._answered or self._old_way or not silent:
+            return []
+        self._old_way = True
+        self.events.append(
+            ("warning", "no answer to SET_MESSAGE_INTERVAL; asking by REQUEST_DATA_STREAM")
+        )
+        hertz = int(min(50.0, max(rate.wanted_hz for rate in self.rates.values())))
+        streams = (
+            dialect.MAV_DATA_STREAM_RAW_SENSORS,
+            dialect.MAV_DATA_STREAM_EXTRA1,
+            dialect.MAV_DATA_STREAM_EXTRA2,
+            dialect.MAV_DATA_STREAM_POSITION,
+        )
+        return [
+            dialect.MAVLink_request_data_stream_message(system, component, stream, hertz, 1)
+            for stream in streams
+        ]
+
+    def _measure(self, now_s: float) -> None:
+        elapsed_s = now_s - self._window_s
+        if elapsed_s < WINDOW_S:
+            return
+        first = elapsed_s == float("inf")
+        self._window_s = now_s
+        for rate in self.rates.values():
+            rate.measured_hz = 0.0 if first else rate.count / elapsed_s
+            rate.count = 0
+            self._judge(rate, now_s)
+
+    def _judge(self, rate: Rate, now_s: float) -> None:
+        """Ask again for a granted rate that is gone."""
+        if rate.granted_hz is None or now_s < rate.settled_s:
+            return
+        if rate.measured_hz >= LOST_SHARE * rate.granted_hz:
+            rate.state = "granted"
+            rate.patience_s = ASK_AGAIN_S
+            return
+        rate.state = f"granted, yet {rate.measured_hz:.1f} Hz come"
+        if rate.retry_s == float("inf"):
+            rate.retry_s = now_s
+            rate.settled_s = now_s + rate.patience_s
+            rate.patience_s = min(2.0 * rate.patience_s, LONGEST_ASK_AGAIN_S)
+            self.events.append(
+                (
+                    "warning",
+                    f"{rate.name}: {rate.granted_hz:.0f} Hz granted, "
+                    f"{rate.measured_hz:.1f} Hz measured; asking again",
+                )
+            )
