@@ -17,7 +17,7 @@ def blueprint(live: bool) -> rrb.Blueprint:
             rrb.Horizontal(_scene(), _plots(window), column_shares=[0.8, 1.0]),
             _states(window),
             _bottom(window),
-            row_shares=[0.645, 0.145, 0.21],
+            row_shares=[0.625, 0.18, 0.195],
         ),
         rrb.TimePanel(
             timeline=entities.TIMELINE,
@@ -104,7 +104,7 @@ def _plots(window: rrb.VisibleTimeRange | None) -> rrb.Grid:
 def _states(window: rrb.VisibleTimeRange | None) -> rrb.StateTimelineView:
     return rrb.StateTimelineView(
         origin="/state",
-        name="Is the accelerometer let in, and if not, why",
+        name="Is the accelerometer trusted (each second), the gate with its reasons, the samples",
         time_ranges=window,
         time_view=rrb.TimeAxis(link="LinkToGlobal"),
     )

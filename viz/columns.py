@@ -16,6 +16,7 @@ from viz.clock import Clock, Nanoseconds
 from viz.scene import FORCE_SCALE, send_reference
 
 Floats = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
 
 SCENE_PERIOD_NS: Final = 40_000_000
 SECOND_NS: Final = 1_000_000_000
@@ -47,8 +48,9 @@ class Columns:
         self._scene_changes = {entities.OURS: states.Changes(), entities.THEIRS: states.Changes()}
         self._second_changes = states.Changes()
         self._last_ns: int | None = None
-        self._counted_ns: int | None = None
-        self._uncounted = 0
+        self._trust_changes = states.Changes()
+        self._mark: Nanoseconds | None = None
+        self._counted = self._opened = 0
         self._styled: set[str] = set()
         self._time_of: Nanoseconds | None = None
 
@@ -69,7 +71,7 @@ class Columns:
         self._scalars(entities.LOAD, t, self._load(rows))
         second = self._second_changes.of(t // SECOND_NS)
         self.temperature(USED_TEMPERATURE, t[second], rows["temperature_degc"][second])
-        self._sample_rate(t, second)
+        self._each_second(t, second, rows["gate"])
         self._states(rows, t)
         self._scene(rows, t, euler[:, 2])
         self._last_ns = int(t[-1])
@@ -137,17 +139,24 @@ class Columns:
             axis=1,
         )
 
-    def _sample_rate(self, t: Nanoseconds, second: npt.NDArray[np.int64]) -> None:
-        """Send, at the first sample of each second, the rate since the first of the one before."""
-        first = [] if self._counted_ns is None else [(self._counted_ns, -self._uncounted)]
-        marks = np.array([*first, *zip(t[second], second, strict=True)], np.int64).reshape(-1, 2)
-        span_ns, count = np.diff(marks, axis=0).T
+    def _each_second(self, t: Nanoseconds, second: Indices, gate: npt.NDArray[np.uint32]) -> None:
+        """At the first sample of each second tell of the second before: the rate, the trust.
+
+        The trust is stamped where its second began.
+        """
+        opened = np.concatenate([[0], np.cumsum(gate == Gate.OPEN)]) + self._opened
+        index = np.arange(len(t)) + self._counted
+        marks = np.stack([t, index, opened[:-1]], axis=1)[second]
+        if self._mark is not None:
+            marks = np.concatenate([self._mark, marks])
+        self._mark, self._counted, self._opened = marks[-1:], index[-1] + 1, opened[-1]
+        span_ns, count, opened = np.diff(marks, axis=0).T
         ahead = span_ns > 0
         self.rate(USED_RATE, marks[1:, 0][ahead], count[ahead] * 1e9 / span_ns[ahead])
-        if len(second):
-            self._counted_ns, self._uncounted = int(t[second[-1]]), len(t) - int(second[-1])
-        else:
-            self._uncounted += len(t)
+        codes = states.trust_codes(opened / count)
+        changed = self._trust_changes.of(codes)
+        texts = [states.TRUST_TEXTS[code] for code in codes[changed]]
+        self._state(entities.TRUST, marks[:-1, 0][changed], texts)
 
     def _states(self, rows: Rows, t: Nanoseconds) -> None:
         """Send changes of state; a gap begins just after the last sample before it."""
@@ -189,9 +198,9 @@ class Columns:
         ]
         self._send(entities.OURS, t, columns)
 
-    def _thinned(self, entity: str, t: Nanoseconds, attitude: Floats) -> npt.NDArray[np.int64]:
+    def _thinned(self, entity: str, t: Nanoseconds, attitude: Floats) -> Indices:
         kept = self._scene_changes[entity].of(t // SCENE_PERIOD_NS)
-        finite: npt.NDArray[np.int64] = kept[np.isfinite(attitude[kept]).all(axis=1)]
+        finite: Indices = kept[np.isfinite(attitude[kept]).all(axis=1)]
         return finite
 
     def _transform(self, entity: str, t: Nanoseconds, rotation: Floats) -> None:

@@ -33,11 +33,12 @@ def send_scene(recording: rr.RecordingStream) -> None:
         ),
         static=True,
     )
-    recording.log(
-        entities.SAMPLE,
-        rr.StateConfiguration(values=["good"], labels=["good"], colors=_rgba(states.GREEN)),
-        static=True,
-    )
+    for entity, texts, colours in (
+        (entities.TRUST, states.TRUST_TEXTS, states.TRUST_COLOURS),
+        (entities.SAMPLE, ("good",), (states.GREEN,)),
+    ):
+        look = rr.StateConfiguration(values=texts, labels=texts, colors=_rgba(*colours))
+        recording.log(entity, look, static=True)
 
 
 def send_reference(recording: rr.RecordingStream, entity: str, name: str, drawn: bool) -> None:

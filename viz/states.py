@@ -47,6 +47,17 @@ GATE_TEXTS: Final = (*(_gate_text(code) for code in range(_CLOSED)), "waiting", 
 GATE_COLOURS: Final = (*(_gate_colour(code) for code in range(_CLOSED)), GREY, BLUE, RED)
 
 
+TRUST_TEXTS: Final = ("not trusted: gyro only", "partly trusted", "trusted")
+TRUST_COLOURS: Final = (RED, AMBER, GREEN)
+_PARTLY: Final = 0.1
+_MOSTLY: Final = 0.5
+
+
+def trust_codes(share: npt.NDArray[np.float64]) -> Codes:
+    """Return for each share [N] of open gates its index [N] into `TRUST_TEXTS`."""
+    return (share >= _PARTLY).astype(np.int64) + (share >= _MOSTLY)
+
+
 def gate_codes(rows: Rows) -> Codes:
     """Return for each ESTIMATE row its index [N] into `GATE_TEXTS`."""
     codes = rows["gate"].astype(np.int64) & (_CLOSED - 1)

@@ -180,3 +180,18 @@ def test_rows_that_are_not_numbers_leave_the_scene_alone(tmp_path, flight, read)
 def test_a_folder_that_is_not_there_is_named(tmp_path, flight):
     with pytest.raises(OSError, match="nowhere"):
         batch.write_rrd(tmp_path / "nowhere" / "flight.rrd", flight)
+
+
+def test_trust_is_told_for_each_second(tmp_path, flight, read):
+    flight["gate"] = Gate.OPEN
+    flight["gate"][400:600] = Gate.NORM
+    flight["gate"][600:750] = Gate.RATE
+    batch.write_rrd(tmp_path / "trust.rrd", flight)
+    trust = read(tmp_path / "trust.rrd")[entities.TRUST]
+    texts = [cell[0] for cell in trust.cells["StateChange:state"]]
+    assert list(zip(trust.t / 1e9, texts, strict=True)) == [
+        (0.0, "trusted"),
+        (2.0, "not trusted: gyro only"),
+        (3.0, "partly trusted"),
+        (4.0, "trusted"),
+    ]
