@@ -77,7 +77,7 @@ def checksum(data: Bytes, start: int, stop: int, extra: int) -> int:
 
     Four bytes a step, which their own tables make independent of one another.
     """
-    crc = 0xFFFF
+    crc = np.int64(0xFFFF)
     i = start
     while i + 4 <= stop:
         crc = (
@@ -90,7 +90,7 @@ def checksum(data: Bytes, start: int, stop: int, extra: int) -> int:
     while i < stop:
         crc = (crc >> 8) ^ _CRC4[0, (crc ^ data[i]) & 0xFF]
         i += 1
-    return (crc >> 8) ^ _CRC4[0, (crc ^ extra) & 0xFF]
+    return int((crc >> 8) ^ _CRC4[0, (crc ^ extra) & 0xFF])
 
 
 @njit(cache=True)

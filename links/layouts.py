@@ -68,8 +68,10 @@ def _copy_payloads(
         header = 6 if int(data[start]) == MARKER_V1 else 10
         length = min(int(data[start + 1]), size)
         start += header
+        row = out[i]
+        payload = data[start : start + length]
         for j in range(length):
-            out[i, j] = data[start + j]
+            row[j] = payload[j]
 
 
 def decode_table(data: Bytes, frames: Rows, indices: npt.NDArray[np.int32], msgid: int) -> Rows:

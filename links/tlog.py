@@ -44,17 +44,15 @@ class Tables(Mapping[Key, Rows]):
         self._order = np.lexsort(
             (frames["compid"], frames["sysid"], msgid.astype(np.uint16), msgid >> 16)
         ).astype(np.int32)
-        head = frames[["msgid", "sysid", "compid"]][self._order]
+        sender = frames["sysid"].astype(np.int64) << 8 | frames["compid"]
+        head = (msgid.astype(np.int64) << 16 | sender)[self._order]
         starts = np.flatnonzero(np.concatenate([[True], head[1:] != head[:-1]]))
         stops = np.append(starts[1:], len(frames))
         self._places: dict[Key, tuple[int, int, int]] = {}
         for start, stop in zip(starts.tolist(), stops.tolist(), strict=True):
-            number = int(head["msgid"][start])
-            key = (
-                int(head["sysid"][start]),
-                int(head["compid"][start]),
-                message_name(number),
-            )
+            name = int(head[start])
+            number = name >> 16
+            key = (name >> 8 & 0xFF, name & 0xFF, message_name(number))
             if is_known(number):
                 self._places[key] = (number, start, stop)
         self._decoded: dict[Key, Rows] = {}
