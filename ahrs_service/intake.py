@@ -65,6 +65,7 @@ _IMU_OF_SOURCE = {
     ImuSource.SCALED_IMU3: 2,
 }
 _SOURCE_CHANGED = int(Flag.SOURCE_CHANGED)
+_IMU_CHANGED = int(Flag.IMU_CHANGED)
 _TEMPERATURE_STALE = int(Flag.TEMPERATURE_STALE)
 _AUTOPILOT_INVALID = 8
 
@@ -153,20 +154,24 @@ def _is_better(state: Record, source: int, received_ns: int) -> bool:
 
 
 @kernel
-def _choose(parameters: Record, state: Record, reading: Record) -> tuple[bool, bool]:
-    """Decide whether this reading's source is the one in use; return (use it, changed)."""
+def _choose(parameters: Record, state: Record, reading: Record) -> tuple[bool, int]:
+    """Decide whether to use this reading; return that and the flags of a change."""
     source = int(reading["source"])
     if parameters["source"] != 0:
         state["source"] = parameters["source"]
-        return source == parameters["source"], False
+        return source == parameters["source"], 0
     if state["source"] == 0:
         state["source"] = source
-        return True, False
+        return True, 0
     if source != state["source"] and _is_better(state, source, reading["received_ns"]):
+        flags = _SOURCE_CHANGED
+        imus = parameters["imu_of_source"]
+        if imus[source] != imus[state["source"]]:
+            flags |= _IMU_CHANGED
         state["source"] = source
         state["source_changes"] += 1
-        return True, True
-    return source == state["source"], False
+        return True, flags
+    return source == state["source"], 0
 
 
 @kernel
@@ -210,12 +215,9 @@ def _temperature_is_stale(state: Record, imu: int, received_ns: int) -> bool:
 
 @kernel
 def _write_sample(
-    parameters: Record, state: Record, reading: Record, changed: bool, sample: Record
+    parameters: Record, state: Record, reading: Record, flags: int, sample: Record
 ) -> None:
     imu = parameters["imu_of_source"][reading["source"]]
-    flags = 0
-    if changed:
-        flags |= _SOURCE_CHANGED
     if _temperature_is_stale(state, imu, reading["received_ns"]):
         flags |= _TEMPERATURE_STALE
     sample["time_ns"] = reading["time_ns"]
@@ -237,12 +239,12 @@ def _write_sample(
 def _take_imu(parameters: Record, state: Record, reading: Record, sample: Record) -> int:
     """Take one IMU reading; return 1 if it became a sample."""
     _take_temperature(parameters, state, reading)
-    use, changed = _choose(parameters, state, reading)
+    use, change = _choose(parameters, state, reading)
     _measure_interval(state, reading)
     if not use:
         state["unused"] += 1
         return 0
-    _write_sample(parameters, state, reading, changed, sample)
+    _write_sample(parameters, state, reading, change, sample)
     return 1
 
 

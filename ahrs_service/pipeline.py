@@ -29,7 +29,7 @@ _NOT_FINITE = int(Flag.NOT_FINITE)
 _ACCEL_MISSING = int(Flag.ACCEL_MISSING)
 _SPIKE = int(Flag.SPIKE)
 _SATURATED = int(Flag.SATURATED)
-_SOURCE_CHANGED = int(Flag.SOURCE_CHANGED)
+_IMU_CHANGED = int(Flag.IMU_CHANGED)
 _REALIGNED = int(Flag.REALIGNED)
 
 REALIGN_GAP_S: Final = 5.0
@@ -282,7 +282,7 @@ def _clear_gate(out: Record) -> None:
 def _realign_if_lost(settings: Record, state: Record, dt_s: float, flags: int) -> int:
     """Start to align at the first sample, and anew when the attitude was lost."""
     long_gap = flags & _GAP != 0 and dt_s > REALIGN_GAP_S
-    lost = long_gap or flags & (_CLOCK_JUMP | _SOURCE_CHANGED) != 0
+    lost = long_gap or flags & (_CLOCK_JUMP | _IMU_CHANGED) != 0
     if state["phase"] == 0:
         alignment.start(state, settings["gyro_bias_sigma_rad_s"])
         state["phase"] = _ALIGNING

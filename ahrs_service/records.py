@@ -85,6 +85,7 @@ class Flag(IntFlag):
     LOW_RATE = 1024
     REALIGNED = 2048
     ACCEL_MISSING = 4096
+    IMU_CHANGED = 8192
 
 
 READING_DTYPE: Final = np.dtype(

@@ -73,6 +73,14 @@ def test_highres_takes_over_from_raw_at_like_rates_and_stays():
     assert samples["source"][-1] == ImuSource.HIGHRES_IMU
     assert state["source_changes"] == 1
     assert np.count_nonzero(samples["flags"] & Flag.SOURCE_CHANGED) == 1
+    # RAW_IMU and HIGHRES_IMU are the same sensor, so nothing has to be aligned anew.
+    assert not (samples["flags"] & Flag.IMU_CHANGED).any()
+
+
+def test_another_sensor_is_told_from_another_message():
+    first, second = imu(ImuSource.SCALED_IMU, 50, 2), imu(ImuSource.SCALED_IMU2, 50, 6)
+    samples, _ = select(np.concatenate([heartbeat(), merge(first, second)]))
+    assert np.count_nonzero(samples["flags"] & Flag.IMU_CHANGED) == 1
 
 
 def test_a_faster_source_beats_a_better_name():

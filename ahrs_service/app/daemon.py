@@ -80,7 +80,6 @@ class Daemon:
         self._rows = empty(READING_DTYPE, 1)
         self._notifier = ServiceNotifier()
         self._ticks = 0
-        self._received_us = 0
 
     # -- life ---------------------------------------------------------------------------------
 
@@ -140,7 +139,6 @@ class Daemon:
         self, message: Any, frame: bytes, received_us: int, peer: Peer, started_s: float
     ) -> None:
         """Record, estimate and publish, then let the component answer."""
-        self._received_us = received_us
         if self.recorder is not None:
             self.recorder.write(received_us, frame)
         if readings.from_message(message, received_us * 1000, self._rows):
@@ -188,7 +186,7 @@ class Daemon:
         return sent
 
     def _on_link_state(self, state: LinkState, why: str) -> None:
-        self._say("info" if state is LinkState.UP else "warning", why)
+        self._say("warning" if state is LinkState.DOWN else "info", why)
         if state is LinkState.UP:
             # Half a frame of the lost connection must not meet the first bytes of the new one.
             self.decoder = Decoder(self._signer, datagrams=self.link.is_datagram)
@@ -204,7 +202,7 @@ class Daemon:
         self.estimator.configure(settings)
         if self.recorder is not None:
             for frame in self._mark(MarkKind.SETTINGS, config_file.to_json(settings)):
-                self.recorder.write(self._received_us, frame)
+                self.recorder.write(self.recorder.last_stamp_us, frame)
 
     def _mark(self, kind: MarkKind, data: bytes) -> list[bytes]:
         encoder = Encoder(self.component.system or 1, self.settings.link.component)

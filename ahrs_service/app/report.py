@@ -142,6 +142,7 @@ def _heading(summary: Summary) -> str:
 
 
 def error_table(summary: Summary) -> Table:
+    """Return the errors against the log's own attitude, whole and steady flight."""
     found = summary.comparison
     assert found is not None
     kind = "truth" if summary.reference_is_truth else "the log's own estimate"
