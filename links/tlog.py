@@ -29,7 +29,7 @@ from links.mavlink_codec import CRC_EXTRA
 Key = tuple[int, int, str]
 
 _STAMP: Final = struct.Struct(">Q")
-_BLOCK_FRAMES: Final = 1 << 16
+_BLOCK_FRAMES: Final = 1 << 14
 _LEAST_SHARE: Final = 1e-3
 
 

@@ -141,7 +141,7 @@ def test_progress_ends_at_one(tmp_path: Path) -> None:
     shares: list[float] = []
     read_tlog(path, shares.append)
     assert shares == sorted(shares)
-    assert len(shares) == 2
+    assert len(shares) > 2
     assert shares[-1] == 1.0
 
 
