@@ -5,10 +5,11 @@ so that no viewer, slow disk or full queue ever holds up an estimate. `rerun` is
 thread, which keeps its seconds of imports off the start of the service.
 """
 
+import os
 import socket
 import threading
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -135,14 +136,20 @@ class LiveViewer:
         stopping = False
         while not stopping:
             stopping = self._stop.wait(self._period_s)
-            try:
-                self._send(columns)
-            except Exception as error:
-                self.error = f"viewer: {error}"
-        recording.flush(timeout_sec=_DRAIN_S / 2.0)
-        recording.disconnect()
+            self._guarded(self._send, columns)
+        self._guarded(recording.flush, timeout_sec=_DRAIN_S / 2.0)
+        self._guarded(recording.disconnect)
+
+    def _guarded(self, act: Callable[..., None], *values: Any, **named: Any) -> None:
+        """Whatever fails here is told by `error` and costs the service nothing else."""
+        try:
+            act(*values, **named)
+        except Exception as error:
+            self.error = f"viewer: {error}"
 
     def _open(self) -> "tuple[rr.RecordingStream, Columns]":
+        # Else rerun warns on the terminal that a file for streaming has no footer.
+        os.environ.setdefault("RUST_LOG", "warn,re_log_encoding=error")
         import rerun as rr  # noqa: PLC0415
 
         from viz import entities  # noqa: PLC0415
