@@ -14,8 +14,10 @@ from ahrs_service.records import (
     ESTIMATE_DTYPE,
     READING_DTYPE,
     SAMPLE_DTYPE,
+    ImuSource,
     Integers,
     Kind,
+    Phase,
     Rows,
     empty,
 )
@@ -28,7 +30,7 @@ _STATE_MARK: Final = hashlib.sha256(
 
 
 class StateError(ValueError):
-    """Saved state bytes that this version cannot take."""
+    """Saved state bytes that this version cannot take, or that are damaged."""
 
 
 class Estimator:
@@ -100,7 +102,7 @@ class Estimator:
         return _STATE_MARK + self._intake_state.tobytes() + self._pipeline_state.tobytes()
 
     def restore(self, saved: bytes) -> None:
-        """Continue from `save`; StateError if the bytes are of another version or cut."""
+        """Continue from `save`; StateError if the bytes are of another version, cut or damaged."""
         expected = len(_STATE_MARK) + intake.STATE_DTYPE.itemsize + pipeline.STATE_DTYPE.itemsize
         if len(saved) != expected or not saved.startswith(_STATE_MARK):
             raise StateError(
@@ -108,8 +110,16 @@ class Estimator:
                 f"{expected}; start from the beginning of the recording instead"
             )
         cut = len(_STATE_MARK) + intake.STATE_DTYPE.itemsize
-        self._intake_state = np.frombuffer(saved[len(_STATE_MARK) : cut], intake.STATE_DTYPE).copy()
-        self._pipeline_state = np.frombuffer(saved[cut:], pipeline.STATE_DTYPE).copy()
+        intake_state = np.frombuffer(saved[len(_STATE_MARK) : cut], intake.STATE_DTYPE).copy()
+        pipeline_state = np.frombuffer(saved[cut:], pipeline.STATE_DTYPE).copy()
+        # The kernels index by the source without a check, so it must be one that exists.
+        source, phase = int(intake_state["source"][0]), int(pipeline_state["phase"][0])
+        if source not in list(ImuSource) or phase not in list(Phase):
+            raise StateError(
+                f"saved state is damaged (IMU source {source}, phase {phase}); "
+                "start from the beginning of the recording instead"
+            )
+        self._intake_state, self._pipeline_state = intake_state, pipeline_state
 
 
 def compile_kernels(settings: Settings) -> None:

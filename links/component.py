@@ -46,8 +46,8 @@ class Component:
     """Our end of the MAVLink conversation.
 
     `system` is 0 until an autopilot was adopted (by HEARTBEAT.autopilot, never by its component
-    id); nothing is sent before. `settings` are those in force: PARAM_SET and SET_MESSAGE_INTERVAL
-    change them.
+    id); nothing but `call` is sent before. `settings` are those in force: PARAM_SET and
+    SET_MESSAGE_INTERVAL change them.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -227,6 +227,10 @@ class Component:
             out += self.timesync.tick(now_s)
         out += self._parameters.tick()
         return out + self._next_text(now_s)
+
+    def call(self) -> Any:
+        """Return the heartbeat for a link on which nobody speaks before we do."""
+        return self._heartbeat("boot")
 
     def _heartbeat(self, state: str) -> Any:
         return dialect.MAVLink_heartbeat_message(

@@ -67,6 +67,8 @@ class Link(ABC):
 
     is_datagram: ClassVar[bool] = False
     """True where every `on_bytes` holds whole frames and nothing carries over to the next."""
+    calls_first: ClassVar[bool] = False
+    """True where the other side learns of us only by what we send."""
 
     def __init__(self, uri: str, on_bytes: OnBytes, on_state: OnState) -> None:
         self.uri = uri

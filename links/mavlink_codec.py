@@ -157,6 +157,12 @@ class Decoder:
             "bad_signature": self._bad_signature,
         }
 
+    def restart(self) -> None:
+        """Forget a frame that waits for its rest: the connection it came on is gone."""
+        self._scan["garbage_bytes"] += len(self._tail)
+        self._scan["boundary"] = self._scan["covered"] = 0
+        self._tail = b""
+
     def feed(self, data: bytes) -> list[tuple[Any, bytes]]:
         """Return the messages that end in `data`, each with its frame as received."""
         buffer = self._tail + data if self._tail else bytes(data)

@@ -122,6 +122,11 @@ class Recorder:
         self._close_file()
 
     @property
+    def has_ended(self) -> bool:
+        """Whether recording ended for good, as `on_note` was told."""
+        return self._ended
+
+    @property
     def _folder(self) -> Path:
         return self._path.parent if self._is_file else self._path
 

@@ -53,10 +53,22 @@ def mark_messages(kind: MarkKind, data: bytes) -> list[Any]:
     return messages
 
 
+def is_mark(message: Any) -> bool:
+    """Return whether a received message would be taken for a mark by `read_marks`.
+
+    Marks are only ever written to files: one that arrives over a link is forged, or comes of a
+    recording that somebody plays, and must not reach a recording.
+    """
+    return (
+        message.get_msgId() == dialect.MAVLINK_MSG_ID_TUNNEL and int(message.payload_type) in _KINDS
+    )
+
+
 def read_marks(tables: Mapping[tuple[int, int, str], Rows]) -> Iterator[Mark]:
     """Yield the marks of a recording's message tables, in file order.
 
-    An incomplete one, as at the end of a cut file, is passed over.
+    An incomplete one, as at the end of a cut file, is passed over. Whoever records keeps `is_mark`
+    messages of others out of the file, so what is here was written by the recording service.
     """
     rows = [table for (_, _, name), table in tables.items() if name == "TUNNEL"]
     if not rows:

@@ -117,6 +117,7 @@ class UdpOutLink(ReopeningLink):
     """
 
     is_datagram: ClassVar[bool] = True
+    calls_first: ClassVar[bool] = True
 
     def __init__(self, uri: str, rest: str, on_bytes: OnBytes, on_state: OnState) -> None:
         super().__init__(uri, on_bytes, on_state)

@@ -29,7 +29,7 @@ from links.mavlink_codec import Decoder, Encoder
 from links.recorder import Recorder
 from links.registry import open_link
 from links.service_notify import ServiceNotifier
-from links.session_marks import MarkKind, mark_messages
+from links.session_marks import MarkKind, is_mark, mark_messages
 from links.signing import Signer, key_from_text
 
 TICK_S: Final = 0.05
@@ -51,7 +51,8 @@ class Daemon:
     """The service on one link; `run` serves until `stop`.
 
     `on_estimate` is given every estimate [1], a view that the next one overwrites. `session`,
-    `health`, `latest`, `component`, `decoder` and `link` can be looked at meanwhile.
+    `health`, `latest`, `component`, `decoder` and `link` can be looked at meanwhile;
+    `forged_marks` counts frames that were kept out of the recording (links.session_marks).
     """
 
     def __init__(
@@ -68,6 +69,7 @@ class Daemon:
         self.recorder: Recorder | None = None
         self.observer: Observer | None = None
         self.component = Component(settings)
+        self.forged_marks = 0
         self.link = open_link(settings.link.uri, self._on_bytes, self._on_link_state)
         self._signer = _make_signer(settings)
         self.decoder = Decoder(self._signer, datagrams=self.link.is_datagram)
@@ -107,6 +109,10 @@ class Daemon:
 
     def _open_outputs(self) -> None:
         recorder, viewer = self.settings.recorder, self.settings.viewer
+        if self._signer is not None:
+            self._signer.save()
+            if self._signer.counts.state_failures:
+                self._say("warning", f"{_signing_file()}: signing stamps cannot be kept there")
         if viewer.port or viewer.rrd:
             self.observer = Observer(self.settings)
             self._log("info", f"viewer: {self.observer.where}")
@@ -116,8 +122,12 @@ class Daemon:
                 recorder.rotate_mb,
                 recorder.limit_mb,
                 header=self._recording_header,
-                on_note=lambda text: self._say("info", text),
+                on_note=self._on_recorder_note,
             )
+
+    def _on_recorder_note(self, text: str) -> None:
+        ended = self.recorder is not None and self.recorder.has_ended
+        self._say("warning" if ended else "info", text)
 
     def _close_outputs(self) -> None:
         if self.recorder is not None:
@@ -139,7 +149,9 @@ class Daemon:
         self, message: Any, frame: bytes, received_us: int, peer: Peer, started_s: float
     ) -> None:
         """Record, estimate and publish, then let the component answer."""
-        if self.recorder is not None:
+        if is_mark(message):
+            self.forged_marks += 1
+        elif self.recorder is not None:
             self.recorder.write(received_us, frame)
         if readings.from_message(message, received_us * 1000, self._rows):
             estimates = self.estimator.take(self._rows)
@@ -189,7 +201,7 @@ class Daemon:
         self._say("warning" if state is LinkState.DOWN else "info", why)
         if state is LinkState.UP:
             # Half a frame of the lost connection must not meet the first bytes of the new one.
-            self.decoder = Decoder(self._signer, datagrams=self.link.is_datagram)
+            self.decoder.restart()
 
     # -- settings that change in flight -------------------------------------------------------
 
@@ -200,6 +212,8 @@ class Daemon:
             return
         self.settings = settings
         self.estimator.configure(settings)
+        if self.observer is not None:
+            self.observer.configure(settings)
         if self.recorder is not None:
             for frame in self._mark(MarkKind.SETTINGS, config_file.to_json(settings)):
                 self.recorder.write(self.recorder.last_stamp_us, frame)
@@ -239,6 +253,8 @@ class Daemon:
             self._each_second()
 
     def _each_second(self) -> None:
+        if not self.component.system and self.link.calls_first:
+            self._call()
         self._notifier.watchdog()
         self._notifier.status(f"{self.health.state.value}, {self.session.estimates} samples")
         if self.recorder is not None:
@@ -247,10 +263,17 @@ class Daemon:
             rates = {rate.name: rate.measured_hz for rate in self.component.rates()}
             self.observer.figures(rates, self.drops())
 
+    def _call(self) -> None:
+        """Let a listener know of us, as a component of the system that we expect there."""
+        system = self.settings.link.system or self.settings.intake.system or 1
+        encoder = Encoder(system, self.settings.link.component, self._signer)
+        self.link.send(encoder.pack(self.component.call()))
+
     def drops(self) -> dict[str, int]:
         """Return everything that was lost so far, by what it was."""
         counts = self.decoder.counts
         lost = {name: count for name, count in counts.items() if name != "frames"}
+        lost["forged_marks"] = self.forged_marks
         lost["not_sent"] = self.session.not_sent
         if self.recorder is not None:
             lost["not_recorded"] = self.recorder.counts.dropped
@@ -276,5 +299,7 @@ def _signing_file() -> Path:
     home = os.environ.get("STATE_DIRECTORY") or os.environ.get("XDG_STATE_HOME")
     folder = Path(home) if home else Path.home() / ".local" / "state"
     path = folder / "ahrs-service" / "signing.json"
-    path.parent.mkdir(parents=True, exist_ok=True)
+    # Where this fails, so does writing the file, which is told when the service starts.
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
     return path

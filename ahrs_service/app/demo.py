@@ -32,7 +32,7 @@ from ahrs_service.app import config_file
 from ahrs_service.app.daemon import Daemon
 from ahrs_service.app.replay_log import ReplayResult, replay_log
 from ahrs_service.app.report import error_table
-from ahrs_service.app.run import DEFAULT_VIEWER_PORT, showing
+from ahrs_service.app.run import DEFAULT_VIEWER_PORT, positive, showing
 from ahrs_service.app.terminal import TerminalLog, session_table
 from ahrs_service.settings import Settings
 
@@ -43,7 +43,7 @@ EXIT_FAILED: Final = 1
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `demo`."""
-    parser.add_argument("--seconds", type=float, default=60.0, help="length of the flight")
+    parser.add_argument("--seconds", type=positive, default=60.0, help="length of the flight")
     parser.add_argument("--scenario", default="flight", help="see ahrs-service simulate --help")
     parser.add_argument("--seed", type=int, default=1, help="another seed is another flight")
     parser.add_argument(
@@ -83,9 +83,15 @@ def _files(out: Path) -> Path:
     name = time.strftime("%Y%m%d-%H%M%S")
     for suffix in ("", *(f"-{n}" for n in range(2, 100))):
         folder = out / f"{name}{suffix}"
-        with contextlib.suppress(FileExistsError):
+        try:
             folder.mkdir(parents=True)
-            return folder
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise config_file.ConfigError(
+                f"--out {out}: {error.strerror}; give a folder that can be written"
+            ) from None
+        return folder
     raise config_file.ConfigError(f"--out {out}: too many folders named {name}")
 
 
@@ -117,7 +123,11 @@ async def _fly(
     log = TerminalLog(console)
     daemon = Daemon(settings, log)
     serving = asyncio.create_task(daemon.run())
-    await daemon.ready.wait()
+    ready = asyncio.create_task(daemon.ready.wait())
+    await asyncio.wait([ready, serving], return_when=asyncio.FIRST_COMPLETED)
+    if serving.done():
+        ready.cancel()
+        await serving
     window = _open_viewer(daemon, arguments.headless, log)
     port = settings.link.uri.rpartition(":")[2]
     try:

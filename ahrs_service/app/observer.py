@@ -5,10 +5,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from ahrs_service.app.config_file import ConfigError
 from ahrs_service.records import Rows
 from ahrs_service.rotation import from_euler
 from ahrs_service.settings import Settings
-from viz.live import LiveViewer
+from viz.live import LiveViewer, ViewerError
 
 _IMU_TEMPERATURE: Final = {
     "SCALED_IMU": "IMU 1",
@@ -21,14 +22,20 @@ _LEVELS: Final = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
 
 
 class Observer:
-    """Feeds the viewer; every call is cheap and none can block or raise."""
+    """Feeds the viewer; every call is cheap and none can block or raise.
+
+    To make one raises ConfigError where the port is taken or the file cannot be written.
+    """
 
     def __init__(self, settings: Settings) -> None:
         viewer = settings.viewer
         self._viewer = LiveViewer(
             viewer.port, viewer.rrd, viewer.memory_mb, viewer.period_s, settings.gate
         )
-        self._viewer.start()
+        try:
+            self._viewer.start()
+        except ViewerError as error:
+            raise ConfigError(str(error)) from None
         self._sources = {"ATTITUDE": self._attitude, "ATTITUDE_QUATERNION": self._quaternion}
         self._euler_only = True
 
@@ -73,6 +80,10 @@ class Observer:
         self._euler_only = False
         q = (message.q1, message.q2, message.q3, message.q4)
         self._viewer.reference(message.time_boot_ms * 1_000_000, q)
+
+    def configure(self, settings: Settings) -> None:
+        """Show the limits of the gate as they are from now on."""
+        self._viewer.gate = settings.gate
 
     def figures(self, rates_hz: Mapping[str, float], drops: Mapping[str, int]) -> None:
         """Show rates and what was lost, as of now."""

@@ -12,10 +12,13 @@ Examples:
 
 import argparse
 import asyncio
+import contextlib
 import dataclasses
+import math
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Final
 
 from rich.console import Console
@@ -56,8 +59,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"host a Rerun stream on loopback (default port {DEFAULT_VIEWER_PORT})",
     )
     parser.add_argument("--rrd", metavar="FILE", help="also write the Rerun stream to this file")
-    parser.add_argument("--seconds", type=float, metavar="S", help="end by itself after S seconds")
+    parser.add_argument(
+        "--seconds", type=positive, metavar="S", help="end by itself after S seconds"
+    )
     parser.add_argument("--quiet", action="store_true", help="log lines only, no live table")
+
+
+def positive(text: str) -> float:
+    """Return the number that `text` is, for argparse; it must be finite and above 0."""
+    value = float(text)
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text} is not a number above 0")
+    return value
 
 
 def settings_from(arguments: argparse.Namespace) -> Settings:
@@ -67,6 +80,11 @@ def settings_from(arguments: argparse.Namespace) -> Settings:
     if arguments.link:
         link = dataclasses.replace(link, uri=arguments.link)
     if arguments.record:
+        if arguments.record.endswith(".tlog") and Path(arguments.record).exists():
+            raise config_file.ConfigError(
+                f"--record {arguments.record}: exists already and is never overwritten; "
+                "name another file, or a folder"
+            )
         recorder = dataclasses.replace(recorder, directory=arguments.record)
     if arguments.viewer is not None:
         viewer = dataclasses.replace(viewer, port=arguments.viewer)
@@ -83,21 +101,39 @@ def run(arguments: argparse.Namespace) -> int:
     daemon = asyncio.run(
         serve(settings, console, table=not arguments.quiet, seconds=arguments.seconds)
     )
-    console.print(session_table(daemon))
+    with contextlib.suppress(SystemExit, OSError):
+        console.print(session_table(daemon))
+        # On one line of its own and never folded, for scripts that compare it with a replay's.
+        digest = daemon.estimator.digest.hexdigest()
+        console.print(f"estimates sha256 {digest}", highlight=False, soft_wrap=True)
     return 0
 
 
 async def serve(settings: Settings, console: Console, table: bool, seconds: float | None) -> Daemon:
-    """Run one daemon with its live table; SIGTERM and SIGINT end it cleanly."""
+    """Run one daemon with its live table; SIGTERM, SIGINT, SIGHUP end it cleanly."""
     daemon = Daemon(settings, TerminalLog(console))
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    # A lost terminal ends the session cleanly, unless nohup told to go on without one.
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    for number in numbers:
         loop.add_signal_handler(number, daemon.stop)
-    if seconds is not None:
-        loop.call_later(seconds, daemon.stop)
-    with showing(daemon, console, table):
-        await daemon.run()
+    limit = asyncio.create_task(_stop_after(daemon, seconds))
+    try:
+        with showing(daemon, console, table):
+            await daemon.run()
+    finally:
+        limit.cancel()
     return daemon
+
+
+async def _stop_after(daemon: Daemon, seconds: float | None) -> None:
+    """End the session when its time is up; compiling before the start takes none of it."""
+    if seconds is not None:
+        await daemon.ready.wait()
+        await asyncio.sleep(seconds)
+        daemon.stop()
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """The live table and the log lines of the terminal."""
 
+import contextlib
 import math
 from typing import Final
 
@@ -28,7 +29,9 @@ class TerminalLog:
         """Print one line."""
         line = Text(f"{level:>7}  ", style=_COLOURS.get(level, ""))
         line.append(text, style="default")
-        self._console.print(line, soft_wrap=True)
+        # Rich ends the program when nobody reads its output any more; a flight goes on.
+        with contextlib.suppress(SystemExit, OSError):
+            self._console.print(line, soft_wrap=True)
 
 
 def _grid(*columns: str) -> Table:
@@ -141,5 +144,4 @@ def session_table(daemon: Daemon) -> Table:
     table.add_row("samples", f"{session.estimates}, attitudes sent {session.published}")
     lost = ", ".join(f"{count} {name}" for name, count in daemon.drops().items() if count)
     table.add_row("lost", lost or "nothing")
-    table.add_row("estimates sha256", daemon.estimator.digest.hexdigest())
     return table
