@@ -76,6 +76,7 @@ STATE_DTYPE: Final = np.dtype(
         ("angular_acceleration_rad_s2", "f8", 3),
         ("force_ned_m_s2", "f8", 3),
         ("spikes", "i8"),
+        ("spike_time_ns", "i8"),
         ("phase", "i8"),
         ("gate", "i8"),
     ]
@@ -133,8 +134,11 @@ def _check_sensors(
     if not accel_finite:
         flags |= _ACCEL_MISSING
     known = state["samples"] > 1 and state["interval_s"] < timebase.LOW_RATE_INTERVAL_S
-    if known and jump2 > SPIKE_RATE_RAD_S**2 and state["spikes"] == 0:
+    # The same sample again confirms nothing.
+    confirmed = state["spikes"] != 0 and sample["time_ns"] != state["spike_time_ns"]
+    if known and jump2 > SPIKE_RATE_RAD_S**2 and not confirmed:
         state["spikes"] = 1
+        state["spike_time_ns"] = sample["time_ns"]
         return flags | _SPIKE
     state["spikes"] = 0
     return flags

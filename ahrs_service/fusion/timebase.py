@@ -11,6 +11,7 @@ from ahrs_service.records import Flag, Record
 TIME_FIELDS: Final = [
     ("time_ns", "i8"),
     ("late_time_ns", "i8"),
+    ("late_samples", "i8"),
     ("interval_s", "f8"),
     ("samples", "i8"),
     ("gaps", "i8"),
@@ -30,6 +31,8 @@ NOT_INTEGRATED: Final = _DUPLICATE | _REORDERED
 
 LATE_LIMIT_S: Final = 1.0
 """A stamp further back than this is a clock that jumped, not a sample that came late [s]."""
+LATE_SAMPLES: Final = 5
+"""So many late samples in a row still are of one overtaken datagram."""
 FORWARD_LIMIT_S: Final = 60.0
 """A stamp further ahead than this is a clock that jumped [s]."""
 LOW_RATE_INTERVAL_S: Final = 0.05
@@ -50,18 +53,20 @@ def _follow_interval(state: Record, dt_s: float) -> None:
 
 @kernel
 def _step_back(state: Record, time_ns: int) -> int:
-    """Judge a stamp before the newest one: late samples come singly, a stepped clock goes on.
+    """Judge a stamp before the newest one: late samples are few, a stepped clock goes on.
 
-    A second late stamp that follows the first within a gap's length is a clock that was set back.
+    A datagram that was overtaken brings some late samples in a row; more than `LATE_SAMPLES`
+    with rising stamps and none ahead of the newest are a clock that was set back.
     """
     back_s = (state["time_ns"] - time_ns) * 1e-9
-    after_late_s = (time_ns - state["late_time_ns"]) * 1e-9
-    goes_on = 0.0 < after_late_s < 2.0 * _GAP_INTERVALS * state["interval_s"]
+    rises = time_ns > state["late_time_ns"]
+    state["late_samples"] = state["late_samples"] + 1 if rises else 1
     state["late_time_ns"] = time_ns
-    if back_s < LATE_LIMIT_S and not goes_on:
+    if back_s < LATE_LIMIT_S and state["late_samples"] <= LATE_SAMPLES:
         state["reordered"] += 1
         return _REORDERED
     state["clock_jumps"] += 1
+    state["late_samples"] = 0
     state["time_ns"] = time_ns
     return _CLOCK_JUMP
 
@@ -85,6 +90,7 @@ def advance(state: Record, time_ns: int, gap_s: float) -> tuple[float, int]:
         found = _step_back(state, time_ns)
         return (0.0 if found == _REORDERED else float(state["interval_s"])), found
     state["time_ns"] = time_ns
+    state["late_samples"] = 0
     if dt_s > FORWARD_LIMIT_S:
         state["clock_jumps"] += 1
         return float(state["interval_s"]), _CLOCK_JUMP
