@@ -7,13 +7,14 @@ from typing import Final
 from ahrs_service.records import Flag, Phase, Record
 
 IMU_SILENCE_S: Final = 0.5
-"""Without a sample for this long the attitude is not to be trusted [s]."""
+"""Without a sample for this long, or for three usual intervals, there is no IMU [s]."""
 FLAG_HOLD_S: Final = 2.0
 """A fault stays in the state for this long after it was last seen [s]."""
 
 _TOLD: Final = {
     Flag.GAP: "gap in the IMU data",
     Flag.CLOCK_JUMP: "the autopilot's clock jumped; aligning anew",
+    Flag.ACCEL_MISSING: "accelerometer values are missing",
     Flag.NOT_FINITE: "IMU values are not finite",
     Flag.SATURATED: "IMU out of its range",
     Flag.SPIKE: "gyro spike held back",
@@ -42,11 +43,15 @@ class HealthMonitor:
     state: Health = Health.NO_VEHICLE
     reasons: tuple[str, ...] = ()
     _last_sample_s: float = -1e9
+    _interval_s: float = 0.0
     _phase: int = 0
     _seen_s: dict[Flag, float] = field(default_factory=dict)
 
     def sample(self, estimate: Record, now_s: float) -> None:
         """Note one estimate; the hot path, so only the rare flags cost."""
+        # One long gap moves the usual interval little.
+        step_s = min(now_s - self._last_sample_s, 3.0 * self._interval_s or IMU_SILENCE_S)
+        self._interval_s += 0.1 * (step_s - self._interval_s)
         self._last_sample_s = now_s
         self._phase = int(estimate["phase"])
         flags = int(estimate["flags"])
@@ -71,7 +76,7 @@ class HealthMonitor:
     def _judge(self, vehicle_heard: bool, now_s: float, reasons: tuple[str, ...]) -> Health:
         if not vehicle_heard:
             return Health.NO_VEHICLE
-        if now_s - self._last_sample_s > IMU_SILENCE_S:
+        if now_s - self._last_sample_s > max(IMU_SILENCE_S, 3.0 * self._interval_s):
             return Health.NO_IMU
         if self._phase != Phase.RUNNING:
             return Health.ALIGNING

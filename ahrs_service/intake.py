@@ -4,6 +4,7 @@ The same kernel takes one live reading or a whole recording, so both choose alik
 the readings alone, never by a clock.
 """
 
+import math
 from typing import Final
 
 import numpy as np
@@ -70,7 +71,7 @@ _TEMPERATURE_STALE = int(Flag.TEMPERATURE_STALE)
 _AUTOPILOT_INVALID = 8
 
 _SETTLED_COUNT = 10
-_SILENCE_S = 1.0
+_SILENCE_S = 0.25
 _TEMPERATURE_SILENCE_S = 10.0
 _TEMPERATURE_FROZEN_S = 30.0
 _INTERVAL_WEIGHT = 0.05
@@ -128,6 +129,9 @@ def _measure_interval(state: Record, reading: Record) -> None:
     source = reading["source"]
     if state["count"][source] > 0:
         dt = (reading["time_ns"] - state["last_time_ns"][source]) * 1e-9
+        if state["count"][source] > _SETTLED_COUNT:
+            # A pause must not make a fast source look slow.
+            dt = min(dt, 3.0 * state["interval_s"][source])
         if 0.0 <= dt < 10.0:
             weight = max(_INTERVAL_WEIGHT, 1.0 / state["count"][source])
             state["interval_s"][source] += weight * (dt - state["interval_s"][source])
@@ -140,17 +144,30 @@ def _measure_interval(state: Record, reading: Record) -> None:
 def _is_better(state: Record, source: int, received_ns: int) -> bool:
     """Tell whether `source` should replace the one in use.
 
-    It does when the one in use fell silent, when `source` is at least twice as fast, or when it
-    is of better rank and about as fast.
+    It does when the one in use fell silent while `source` went on (else the link did), when
+    `source` is at least twice as fast, or when it is of better rank and about as fast.
     """
     used = state["source"]
     silence_s = (received_ns - state["last_received_ns"][used]) * 1e-9
-    if silence_s > max(_SILENCE_S, 10.0 * state["interval_s"][used]):
+    went_on_s = (state["last_received_ns"][source] - state["last_received_ns"][used]) * 1e-9
+    limit_s = max(_SILENCE_S, 10.0 * state["interval_s"][used])
+    if silence_s > limit_s and went_on_s > 0.3 * limit_s:
         return True
     if state["count"][source] < _SETTLED_COUNT:
         return False
     interval, used_interval = state["interval_s"][source], state["interval_s"][used]
     return interval < 0.5 * used_interval or (source < used and interval <= 1.5 * used_interval)
+
+
+@kernel
+def _is_whole(reading: Record) -> bool:
+    """Tell whether all rates and forces are numbers."""
+    for i in range(3):
+        if not (
+            math.isfinite(reading["gyro_rad_s"][i]) and math.isfinite(reading["accel_m_s2"][i])
+        ):
+            return False
+    return True
 
 
 @kernel
@@ -163,7 +180,8 @@ def _choose(parameters: Record, state: Record, reading: Record) -> tuple[bool, i
     if state["source"] == 0:
         state["source"] = source
         return True, 0
-    if source != state["source"] and _is_better(state, source, reading["received_ns"]):
+    other = source != state["source"]
+    if other and _is_whole(reading) and _is_better(state, source, reading["received_ns"]):
         flags = _SOURCE_CHANGED
         imus = parameters["imu_of_source"]
         if imus[source] != imus[state["source"]]:
@@ -240,7 +258,9 @@ def _take_imu(parameters: Record, state: Record, reading: Record, sample: Record
     """Take one IMU reading; return 1 if it became a sample."""
     _take_temperature(parameters, state, reading)
     use, change = _choose(parameters, state, reading)
-    _measure_interval(state, reading)
+    # A source that sends no numbers counts as silent, so that another can step in.
+    if _is_whole(reading):
+        _measure_interval(state, reading)
     if not use:
         state["unused"] += 1
         return 0

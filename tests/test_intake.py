@@ -94,7 +94,7 @@ def test_the_second_source_steps_in_when_the_first_falls_silent():
     samples, state = select(np.concatenate([heartbeat(), merge(highres, scaled)]))
     assert samples["source"][-1] == ImuSource.SCALED_IMU
     changed_s = samples["time_ns"][np.flatnonzero(samples["flags"] & Flag.SOURCE_CHANGED)] * 1e-9
-    assert changed_s[-1] == pytest.approx(4.0, abs=0.11)
+    assert changed_s[-1] == pytest.approx(3.3, abs=0.11)
     assert state["source_changes"] == 1
 
 
