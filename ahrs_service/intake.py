@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.kernel import kernel
-from ahrs_service.records import Flag, ImuSource, Integers, Kind, Record, Rows
+from ahrs_service.records import Airframe, Flag, ImuSource, Integers, Kind, Record, Rows
 from ahrs_service.settings import IntakeSettings
 
 _SOURCES: Final = 16
@@ -36,6 +36,7 @@ STATE_DTYPE: Final = np.dtype(
         ("system", "i8"),
         ("component", "i8"),
         ("source", "i8"),
+        ("vehicle", "i8"),
     ]
 )
 """What the intake remembers; saved and restored by its bytes."""
@@ -47,6 +48,7 @@ PARAMETERS_DTYPE: Final = np.dtype(
         ("component", "i8"),
         ("source", "i8"),
         ("highres_temperature", "i8"),
+        ("airframe_of_type", "i8", 256),
     ]
 )
 
@@ -65,6 +67,11 @@ _IMU_OF_SOURCE = {
     ImuSource.SCALED_IMU2: 1,
     ImuSource.SCALED_IMU3: 2,
 }
+_TYPES_OF_AIRFRAME = {
+    Airframe.FIXED_WING: (1, 7, 8, 16, 19, 20, 21, 22, 23, 24, 25, 28, 37),
+    Airframe.MULTIROTOR: (2, 3, 4, 13, 14, 15, 29, 35, 43),
+}
+"""MAV_TYPE by airframe; VTOLs, gliders and flapping wings fly forward like fixed wings."""
 _SOURCE_CHANGED = int(Flag.SOURCE_CHANGED)
 _IMU_CHANGED = int(Flag.IMU_CHANGED)
 _TEMPERATURE_STALE = int(Flag.TEMPERATURE_STALE)
@@ -90,6 +97,8 @@ def parameters(settings: IntakeSettings) -> Rows:
     row = np.zeros(1, PARAMETERS_DTYPE)
     for source, imu in _IMU_OF_SOURCE.items():
         row["imu_of_source"][0, source] = imu
+    for airframe, types in _TYPES_OF_AIRFRAME.items():
+        row["airframe_of_type"][0, list(types)] = airframe
     row["system"] = settings.system
     row["component"] = settings.component
     if settings.imu_source != "auto":
@@ -116,11 +125,14 @@ def _adopt(parameters: Record, state: Record, reading: Record) -> bool:
     ):
         state["system"] = reading["system"]
         state["component"] = reading["component"]
-    return (
+    ours = (
         state["system"] != 0
         and reading["system"] == state["system"]
         and reading["component"] == state["component"]
     )
+    if ours and reading["kind"] == _HEARTBEAT:
+        state["vehicle"] = reading["vehicle"]
+    return ours
 
 
 @kernel
@@ -251,6 +263,7 @@ def _write_sample(
         state["velocity_ned_m_s"][i] = np.nan
     sample["flags"] = flags
     sample["source"] = reading["source"]
+    sample["airframe"] = parameters["airframe_of_type"][state["vehicle"]]
 
 
 @kernel

@@ -12,9 +12,19 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.fusion import alignment, gating, heading, mekf, strapdown, timebase
+from ahrs_service.fusion import (
+    alignment,
+    gating,
+    heading,
+    mekf,
+    motion,
+    propagation,
+    rest,
+    strapdown,
+    timebase,
+)
 from ahrs_service.kernel import kernel
-from ahrs_service.records import Flag, Floats, Gate, Phase, Record, Rows
+from ahrs_service.records import Airframe, Flag, Floats, Gate, Phase, Record, Rows
 from ahrs_service.rotation import down_in_body, matrix
 from ahrs_service.sensor.compensation import compensate
 from ahrs_service.settings import Settings
@@ -31,11 +41,10 @@ _SPIKE = int(Flag.SPIKE)
 _SATURATED = int(Flag.SATURATED)
 _IMU_CHANGED = int(Flag.IMU_CHANGED)
 _REALIGNED = int(Flag.REALIGNED)
+_JUDGED_AT_ONCE = _SATURATED | _ACCEL_MISSING | _GAP
 
 REALIGN_GAP_S: Final = 5.0
 """After a gap longer than this the attitude before it says little: align anew [s]."""
-GAP_RATE_SIGMA_RAD_S: Final = 0.5
-"""What a small UAV may have turned, per second that no sample came [rad/s]."""
 ACCEL_CORRELATION_S: Final = 1.0
 """Manoeuvre accelerations last about this long: closer samples are not independent [s]."""
 DOUBT_RAD_RTS: Final = 0.05
@@ -45,6 +54,9 @@ SPIKE_RATE_RAD_S: Final = 10.0
 
 PARAMETERS_DTYPE: Final = np.dtype(
     [
+        ("forward_speed_m_s", "f8", len(Airframe)),
+        ("velocity_sigma_m_s", "f8", (len(Airframe), 3)),
+        ("velocity_correlation_s", "f8", (len(Airframe), 3)),
         ("gate_norm_m_s2", "f8"),
         ("gate_rate_rad_s", "f8"),
         ("gate_angular_acceleration_rad_s2", "f8"),
@@ -55,11 +67,17 @@ PARAMETERS_DTYPE: Final = np.dtype(
         ("gyro_noise_rad_s_rthz", "f8"),
         ("gyro_bias_walk_rad_s2_rthz", "f8"),
         ("gyro_bias_sigma_rad_s", "f8"),
+        ("gyro_rest_sigma_rad_s", "f8"),
         ("accel_noise_m_s2", "f8"),
+        ("velocity_noise_m_s_rts", "f8"),
+        ("accel_scale_error", "f8"),
         ("alignment_s", "f8"),
         ("gap_s", "f8"),
         ("declination_rad", "f8"),
         ("use_magnetometer", "i8"),
+        ("use_airspeed", "i8"),
+        ("use_velocity", "i8"),
+        ("airframe", "i8"),
     ]
 )
 
@@ -68,6 +86,9 @@ STATE_DTYPE: Final = np.dtype(
         *timebase.TIME_FIELDS,
         *alignment.ALIGNMENT_FIELDS,
         *heading.HEADING_FIELDS,
+        *propagation.PROPAGATION_FIELDS,
+        *rest.REST_FIELDS,
+        *motion.MOTION_FIELDS,
         ("ned_from_body", "f8", 4),
         ("gyro_bias_rad_s", "f8", 3),
         ("covariance", "f8", (strapdown.ERROR_STATES, strapdown.ERROR_STATES)),
@@ -75,12 +96,15 @@ STATE_DTYPE: Final = np.dtype(
         ("smooth_rate_rad_s", "f8", 3),
         ("angular_acceleration_rad_s2", "f8", 3),
         ("force_ned_m_s2", "f8", 3),
+        ("gate_metrics", "f8", 4),
+        ("tilt_innovation_rad", "f8", 2),
         ("spikes", "i8"),
         ("spike_time_ns", "i8"),
         ("phase", "i8"),
         ("gate", "i8"),
     ]
 )
+"""What the estimator remembers; saved and restored by its bytes."""
 
 
 def new_state() -> Rows:
@@ -94,21 +118,25 @@ def parameters(settings: Settings) -> Rows:
     """Return the kernel's parameters [1]."""
     row = np.zeros(1, PARAMETERS_DTYPE)
     gate, fusion = settings.gate, settings.fusion
-    row["gate_norm_m_s2"] = gate.norm_m_s2
-    row["gate_rate_rad_s"] = gate.rate_rad_s
-    row["gate_angular_acceleration_rad_s2"] = gate.angular_acceleration_rad_s2
-    row["gate_innovation_sigma"] = gate.innovation_sigma
-    row["accel_range_m_s2"] = gate.accel_range_m_s2
-    row["gyro_range_rad_s"] = gate.gyro_range_rad_s
-    row["smoothing_s"] = gate.smoothing_s
-    row["gyro_noise_rad_s_rthz"] = fusion.gyro_noise_rad_s_rthz
-    row["gyro_bias_walk_rad_s2_rthz"] = fusion.gyro_bias_walk_rad_s2_rthz
-    row["gyro_bias_sigma_rad_s"] = fusion.gyro_bias_sigma_rad_s
-    row["accel_noise_m_s2"] = fusion.accel_noise_m_s2
-    row["alignment_s"] = fusion.alignment_s
-    row["gap_s"] = fusion.gap_s
+    for name in PARAMETERS_DTYPE.names or ():
+        if hasattr(fusion, name):
+            if not isinstance(getattr(fusion, name), str):
+                row[name] = getattr(fusion, name)
+        elif hasattr(gate, name.removeprefix("gate_")):
+            row[name] = getattr(gate, name.removeprefix("gate_"))
+    airframes = {
+        Airframe.FIXED_WING: settings.fixed_wing,
+        Airframe.MULTIROTOR: settings.multirotor,
+        Airframe.OTHER: settings.other,
+    }
+    for number, airframe in airframes.items():
+        row["forward_speed_m_s"][0, number] = airframe.forward_speed_m_s
+        row["velocity_sigma_m_s"][0, number] = airframe.velocity_sigma_m_s
+        row["velocity_correlation_s"][0, number] = airframe.velocity_correlation_s
     row["declination_rad"] = math.radians(fusion.declination_deg)
     row["use_magnetometer"] = fusion.magnetometer
+    row["use_velocity"] = fusion.mode == "velocity"
+    row["airframe"] = -1 if fusion.airframe == "auto" else Airframe[fusion.airframe.upper()]
     return row
 
 
@@ -145,68 +173,20 @@ def _check_sensors(
 
 
 @kernel
-def _propagate(settings: Record, state: Record, gyro: Floats, dt_s: float, flags: int) -> None:
-    """Integrate the attitude over the step and let the covariance grow.
-
-    The rate between two samples is known to half of what it changed, so a slow or irregular
-    stream widens the covariance by itself.
-    """
-    rate = np.empty(3)
-    change2 = 0.0
-    for i in range(3):
-        rate[i] = gyro[i] - state["gyro_bias_rad_s"][i]
-        change2 += (rate[i] - state["rate_rad_s"][i]) ** 2
-    variance = settings["gyro_noise_rad_s_rthz"] ** 2 * dt_s
-    if flags & _GAP:
-        variance += (GAP_RATE_SIGMA_RAD_S * dt_s) ** 2
-    else:
-        variance += change2 * dt_s * dt_s / 48.0
-        strapdown.rotate(state["ned_from_body"], state["rate_rad_s"], rate, dt_s)
-    ned_from_body = np.empty((3, 3))
-    matrix(state["ned_from_body"], ned_from_body)
-    walk = settings["gyro_bias_walk_rad_s2_rthz"] ** 2 * dt_s
-    strapdown.grow_covariance(state["covariance"], ned_from_body, dt_s, variance, walk)
-    alignment.bound_tilt(state["covariance"])
-    weight = dt_s / (settings["smoothing_s"] + dt_s)
-    for i in range(3):
-        step = weight * (rate[i] - state["smooth_rate_rad_s"][i])
-        state["smooth_rate_rad_s"][i] += step
-        state["angular_acceleration_rad_s2"][i] = step / dt_s
-        state["rate_rad_s"][i] = rate[i]
-
-
-@kernel
-def _average_force(settings: Record, state: Record, accel: Floats, dt_s: float) -> None:
-    """Average the specific force in earth axes, where gravity stands still while the body turns."""
-    ned_from_body = np.empty((3, 3))
-    matrix(state["ned_from_body"], ned_from_body)
-    weight = dt_s / (settings["smoothing_s"] + dt_s)
-    for i in range(3):
-        force = 0.0
-        for j in range(3):
-            force += ned_from_body[i, j] * accel[j]
-        state["force_ned_m_s2"][i] += weight * (force - state["force_ned_m_s2"][i])
-
-
-@kernel
 def _norm(v: Floats) -> float:
     return math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
 
 
 @kernel
-def _correct_tilt(settings: Record, state: Record, dt_s: float, flags: int, out: Record) -> None:
-    """Judge the averaged force by the gates and correct the tilt where they are open."""
-    metrics = np.empty(3)
-    tilt = np.empty(2)
-    correction = np.zeros(6)
-    p = state["covariance"]
+def _judge(settings: Record, state: Record, dt_s: float, flags: int) -> None:
+    """Judge the averaged force by the gates; reasons, metrics and innovation go into the state."""
+    metrics, tilt, p = state["gate_metrics"], state["tilt_innovation_rad"], state["covariance"]
     metrics[0] = abs(_norm(state["force_ned_m_s2"]) - STANDARD_GRAVITY_M_S2)
     metrics[1] = _norm(state["smooth_rate_rad_s"])
     metrics[2] = _norm(state["angular_acceleration_rad_s2"])
     mekf.tilt_from_force(state["force_ned_m_s2"], tilt)
-    sigma2 = (settings["accel_noise_m_s2"] / STANDARD_GRAVITY_M_S2) ** 2
-    spread2 = max(p[0, 0], p[1, 1]) + sigma2
-    sigmas = math.sqrt((tilt[0] * tilt[0] + tilt[1] * tilt[1]) / spread2)
+    spread2 = max(p[0, 0], p[1, 1]) + _gravity_variance(settings)
+    metrics[3] = math.sqrt((tilt[0] * tilt[0] + tilt[1] * tilt[1]) / spread2)
     reasons = gating.motion_reasons(
         metrics,
         settings["gate_norm_m_s2"],
@@ -218,34 +198,60 @@ def _correct_tilt(settings: Record, state: Record, dt_s: float, flags: int, out:
     if flags & _ACCEL_MISSING:
         reasons |= _STALE
     if reasons == 0:
-        reasons = gating.innovation_reason(sigmas, settings["gate_innovation_sigma"])
+        reasons = gating.innovation_reason(metrics[3], settings["gate_innovation_sigma"])
         if reasons != 0 and state["phase"] == _RUNNING:
             # Steady motion that contradicts the attitude: sooner or later the attitude is wrong.
             p[0, 0] += DOUBT_RAD_RTS**2 * dt_s
             p[1, 1] += DOUBT_RAD_RTS**2 * dt_s
-    usable = flags & (_SATURATED | _ACCEL_MISSING) == 0
-    if reasons == 0 or (state["phase"] == _ALIGNING and usable):
-        if state["phase"] == _ALIGNING:
-            sigma2 += (metrics[0] / STANDARD_GRAVITY_M_S2) ** 2
-        variance = sigma2 * max(1.0, ACCEL_CORRELATION_S / dt_s)
-        mekf.correct_axis(p, correction, 0, tilt[0], variance)
-        mekf.correct_axis(p, correction, 1, tilt[1], variance)
-        mekf.apply_correction(
-            state["ned_from_body"], state["gyro_bias_rad_s"], state["force_ned_m_s2"], correction
-        )
     state["gate"] = reasons
-    _write_gate(metrics, tilt, sigmas, state["ned_from_body"], out)
 
 
 @kernel
-def _write_gate(metrics: Floats, tilt: Floats, sigmas: float, q: Floats, out: Record) -> None:
-    """Note what the gate saw; the innovation is turned into body axes."""
+def _gravity_variance(settings: Record) -> float:
+    return float((settings["accel_noise_m_s2"] / STANDARD_GRAVITY_M_S2) ** 2)
+
+
+@kernel
+def _turn(settings: Record, state: Record, airframe: int, flags: int) -> None:
+    """Propagate the covariance, then correct by all that is known of the vehicle's motion."""
+    dt_s = propagation.grow(settings, state)
+    correction = np.zeros(strapdown.ERROR_STATES)
+    _judge(settings, state, dt_s, flags)
+    aligning = state["phase"] == _ALIGNING and flags & (_SATURATED | _ACCEL_MISSING) == 0
+    if state["gate"] == 0 or aligning:
+        variance = _gravity_variance(settings)
+        if aligning:
+            variance += (state["gate_metrics"][0] / STANDARD_GRAVITY_M_S2) ** 2
+        variance *= max(1.0, ACCEL_CORRELATION_S / dt_s)
+        for axis in range(2):
+            measured = state["tilt_innovation_rad"][axis]
+            mekf.correct_state(state["covariance"], correction, axis, measured, variance)
+    if settings["use_velocity"] != 0:
+        if state["rest_s"] > rest.CONFIRM_S:
+            motion.hold_at_rest(state, correction, dt_s, settings["gyro_rest_sigma_rad_s"])
+        else:
+            ned_from_body = np.empty((3, 3))
+            matrix(state["ned_from_body"], ned_from_body)
+            motion.bound_velocity(settings, state, ned_from_body, airframe, correction, dt_s)
+    mekf.apply_correction(
+        state["ned_from_body"],
+        state["gyro_bias_rad_s"],
+        state["velocity_ned_m_s"],
+        state["force_ned_m_s2"],
+        correction,
+    )
+
+
+@kernel
+def _write_gate(state: Record, out: Record) -> None:
+    """Write what the gate saw at the last turn; the innovation is turned into body axes."""
     body = np.empty((3, 3))
-    matrix(q, body)
+    matrix(state["ned_from_body"], body)
+    metrics, tilt = state["gate_metrics"], state["tilt_innovation_rad"]
     out["gate_norm_m_s2"] = metrics[0]
     out["gate_rate_rad_s"] = metrics[1]
     out["gate_angular_acceleration_rad_s2"] = metrics[2]
-    out["gate_innovation"] = sigmas
+    out["gate_innovation"] = metrics[3]
     for i in range(3):
         out["innovation_rad"][i] = body[0, i] * tilt[0] + body[1, i] * tilt[1]
 
@@ -273,28 +279,32 @@ def _write_estimate(state: Record, sample: Record, accel: Floats, flags: int, ou
 
 
 @kernel
-def _clear_gate(out: Record) -> None:
-    out["gate_norm_m_s2"] = np.nan
-    out["gate_rate_rad_s"] = np.nan
-    out["gate_angular_acceleration_rad_s2"] = np.nan
-    out["gate_innovation"] = np.nan
-    for i in range(3):
-        out["innovation_rad"][i] = np.nan
-
-
-@kernel
-def _realign_if_lost(settings: Record, state: Record, dt_s: float, flags: int) -> int:
+def _realign_if_lost(
+    settings: Record, state: Record, sample: Record, dt_s: float, flags: int
+) -> int:
     """Start to align at the first sample, and anew when the attitude was lost."""
     long_gap = flags & _GAP != 0 and dt_s > REALIGN_GAP_S
     lost = long_gap or flags & (_CLOCK_JUMP | _IMU_CHANGED) != 0
-    if state["phase"] == 0:
-        alignment.start(state, settings["gyro_bias_sigma_rad_s"])
-        state["phase"] = _ALIGNING
-    elif lost:
-        alignment.start(state, settings["gyro_bias_sigma_rad_s"])
-        state["phase"] = _ALIGNING
+    if state["phase"] != 0 and not lost:
+        return flags
+    if lost:
         flags |= _REALIGNED
+    airframe = _airframe(settings, sample)
+    speed_sigma = settings["velocity_sigma_m_s"][airframe, 0]
+    alignment.start(
+        state,
+        settings["gyro_bias_sigma_rad_s"],
+        max(settings["forward_speed_m_s"][airframe], speed_sigma),
+    )
+    propagation.begin_turn(state)
+    state["phase"] = _ALIGNING
     return flags
+
+
+@kernel
+def _airframe(settings: Record, sample: Record) -> int:
+    """Return the class of airframe in force: as set, else as heard."""
+    return int(sample["airframe"]) if settings["airframe"] < 0 else int(settings["airframe"])
 
 
 @kernel
@@ -308,16 +318,16 @@ def _step(settings: Record, coefficients: Rows, state: Record, sample: Record, o
         gyro,
         accel,
     )
-    _clear_gate(out)
     found = _check_sensors(settings, state, sample, gyro, accel)
     flags |= found
     if not found & (_NOT_FINITE | _SPIKE):
         dt_s, timing = timebase.advance(state, sample["time_ns"], settings["gap_s"])
         flags |= timing
         if not timing & timebase.NOT_INTEGRATED:
-            flags = _realign_if_lost(settings, state, dt_s, flags)
-            _move(settings, state, sample, gyro, accel, dt_s, flags, out)
+            flags = _realign_if_lost(settings, state, sample, dt_s, flags)
+            _move(settings, state, sample, gyro, accel, dt_s, flags)
     _write_estimate(state, sample, accel, flags, out)
+    _write_gate(state, out)
 
 
 @kernel
@@ -329,21 +339,21 @@ def _move(
     accel: Floats,
     dt_s: float,
     flags: int,
-    out: Record,
 ) -> None:
-    """Take one good sample: integrate, align or correct."""
+    """Take one good sample: integrate, and at the end of a turn correct."""
+    motion.hear_airspeed(state, sample)
     if state["aligned_samples"] == 0:
-        if flags & _ACCEL_MISSING:
-            return
-        alignment.first_attitude(state, gyro, accel)
-        heading.first_heading(settings, state, sample["mag_ut"])
+        if flags & _ACCEL_MISSING == 0:
+            alignment.first_attitude(state, gyro, accel)
+            heading.first_heading(settings, state, sample["mag_ut"])
         return
     if dt_s <= 0.0:
         return
-    _propagate(settings, state, gyro, dt_s, flags)
-    if not flags & _ACCEL_MISSING:
-        _average_force(settings, state, accel, dt_s)
-    _correct_tilt(settings, state, dt_s, flags, out)
+    propagation.move(settings, state, gyro, accel, dt_s, flags)
+    if flags & _ACCEL_MISSING == 0:
+        rest.follow(state, gyro, accel, dt_s, settings["gyro_rest_sigma_rad_s"])
+    if state["turn_s"] >= propagation.TURN_S or flags & _JUDGED_AT_ONCE != 0:
+        _turn(settings, state, _airframe(settings, sample), flags)
     heading.correct(settings, state, sample["mag_ut"], dt_s)
     if state["phase"] == _ALIGNING and alignment.gather(
         state, gyro, accel, settings["alignment_s"]

@@ -48,6 +48,14 @@ class ImuSource(IntEnum):
     HIGHRES_IMU_2 = 9
 
 
+class Airframe(IntEnum):
+    """The class of vehicle, by HEARTBEAT.type: it says how the vehicle can move."""
+
+    OTHER = 0
+    FIXED_WING = 1
+    MULTIROTOR = 2
+
+
 class Gate(IntFlag):
     """Why the accelerometer was not let in as a measure of the vertical; 0 is an open gate."""
 
@@ -103,15 +111,16 @@ READING_DTYPE: Final = np.dtype(
         ("system", "u1"),
         ("component", "u1"),
         ("autopilot", "u1"),
-        ("reserved", "u1", 3),
+        ("vehicle", "u1"),
+        ("reserved", "u1", 2),
     ]
 )
 """One message from a link or a recording, in SI units, before a source is chosen.
 
 `received_ns` host clock at receipt, `time_ns` the sender's clock (0 if the message has none). IMU
 readings fill gyro, accel, and where there are new values mag and temperature; a
-`HIGHRES_IMU` temperature is the barometer's or the air's, never the IMU's. `autopilot` is
-HEARTBEAT.autopilot.
+`HIGHRES_IMU` temperature is the barometer's or the air's, never the IMU's. `autopilot`
+and `vehicle` are HEARTBEAT.autopilot and HEARTBEAT.type.
 """
 
 SAMPLE_DTYPE: Final = np.dtype(
@@ -126,6 +135,8 @@ SAMPLE_DTYPE: Final = np.dtype(
         ("velocity_ned_m_s", "f8", 3),
         ("flags", "u4"),
         ("source", "u4"),
+        ("airframe", "u4"),
+        ("reserved", "u4"),
     ]
 )
 """One IMU sample of the chosen source, with what else came since the sample before (else NaN).

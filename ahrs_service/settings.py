@@ -39,7 +39,7 @@ class GateSettings:
     """
 
     __pydantic_config__: ClassVar = _STRICT
-    norm_m_s2: _Positive = 0.5
+    norm_m_s2: _Positive = 0.2
     rate_rad_s: _Positive = 0.35
     angular_acceleration_rad_s2: _Positive = 2.0
     innovation_sigma: _Positive = 4.0
@@ -50,17 +50,52 @@ class GateSettings:
 
 @dataclass(frozen=True, slots=True)
 class FusionSettings:
-    """Noise of the sensors and of what they are told about the world."""
+    """Which filter, and the noise of the sensors and of what they are told about the world.
+
+    `mode` "velocity" also estimates the velocity, which the class of airframe bounds, so that
+    accelerations average out; "gated" believes the accelerometer only while the gates are open.
+    `airframe` "auto" goes by HEARTBEAT.type. `velocity_noise_m_s_rts` is what the accelerometer's
+    noise adds to the velocity [m/s per sqrt(s)], `accel_scale_error` as a share of the force
+    beyond 1 g.
+    """
 
     __pydantic_config__: ClassVar = _STRICT
-    gyro_noise_rad_s_rthz: _Positive = 0.002
+    mode: Literal["velocity", "gated"] = "velocity"
+    airframe: Literal["auto", "fixed_wing", "multirotor", "other"] = "auto"
+    gyro_noise_rad_s_rthz: _Positive = 0.004
     gyro_bias_walk_rad_s2_rthz: _Positive = 2e-5
     gyro_bias_sigma_rad_s: _Positive = 0.02
+    gyro_rest_sigma_rad_s: _Positive = 0.02
     accel_noise_m_s2: _Positive = 0.5
+    velocity_noise_m_s_rts: _Positive = 0.5
+    accel_scale_error: _NotNegative = 0.1
+    use_airspeed: bool = True
     alignment_s: _Positive = 1.0
     gap_s: _Positive = 0.5
     magnetometer: bool = True
     declination_deg: Annotated[float, Ge(-180.0), Le(180.0)] = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class AirframeSettings:
+    """How a class of vehicle can move: its velocity through the air, along body x, y, z.
+
+    `forward_speed_m_s` the usual speed along x [m/s]; per axis the 1-sigma about it (about 0 for y
+    and z) [m/s], and how long a deviation lasts [s].
+    """
+
+    __pydantic_config__: ClassVar = _STRICT
+    forward_speed_m_s: _NotNegative
+    velocity_sigma_m_s: tuple[_Positive, _Positive, _Positive]
+    velocity_correlation_s: tuple[_Positive, _Positive, _Positive]
+
+
+FIXED_WING = AirframeSettings(10.0, (10.0, 1.5, 1.5), (60.0, 2.0, 2.0))
+"""Small fixed wings fly at 8 to 25 m/s, with the nose in the flow to about 5 deg."""
+MULTIROTOR = AirframeSettings(0.0, (3.0, 3.0, 1.5), (5.0, 5.0, 5.0))
+"""Hover and slow flight; leaning into the wind the air speed is along x and y."""
+OTHER = AirframeSettings(0.0, (8.0, 8.0, 3.0), (10.0, 10.0, 10.0))
+"""Anything small: rovers, boats, hand-held."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +156,9 @@ class Settings:
     intake: IntakeSettings = field(default_factory=IntakeSettings)
     gate: GateSettings = field(default_factory=GateSettings)
     fusion: FusionSettings = field(default_factory=FusionSettings)
+    fixed_wing: AirframeSettings = FIXED_WING
+    multirotor: AirframeSettings = MULTIROTOR
+    other: AirframeSettings = OTHER
     link: LinkSettings = field(default_factory=LinkSettings)
     publish: PublishSettings = field(default_factory=PublishSettings)
     recorder: RecorderSettings = field(default_factory=RecorderSettings)

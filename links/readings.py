@@ -51,7 +51,7 @@ class _Rule:
     sources: tuple[ImuSource, ...] = (ImuSource.NONE,)
     has_id: bool = False
     has_updated: bool = False
-    autopilot: str = ""
+    is_heartbeat: bool = False
 
 
 _ACCEL = ("xacc", "yacc", "zacc")
@@ -77,7 +77,7 @@ def _scaled(source: ImuSource) -> _Rule:
 
 
 RULES: Final[dict[str, _Rule]] = {
-    "HEARTBEAT": _Rule(Kind.HEARTBEAT, autopilot="autopilot"),
+    "HEARTBEAT": _Rule(Kind.HEARTBEAT, is_heartbeat=True),
     "HIGHRES_IMU": _Rule(
         Kind.IMU,
         _HIGHRES_PARTS,
@@ -116,7 +116,7 @@ _FIRST_SLOT: Final = {
     for name in _FLOATS
 }
 _SLOTS: Final = 14
-_ROW: Final = struct.Struct(f"<qq{_SLOTS}d5B3x")
+_ROW: Final = struct.Struct(f"<qq{_SLOTS}d6B2x")
 _NO_VALUES: Final = [_NAN] * _SLOTS
 
 _Writer = Callable[[Any, int, Rows], int]
@@ -177,7 +177,8 @@ def _writer(rule: _Rule) -> _Writer:
             sources[number],
             header.srcSystem,
             header.srcComponent,
-            message.autopilot if rule.autopilot else 0,
+            message.autopilot if rule.is_heartbeat else 0,
+            message.type if rule.is_heartbeat else 0,
         )
         return 1
 
@@ -215,8 +216,9 @@ def _from_table(key: Key, table: Rows) -> tuple[Rows, npt.NDArray[np.int32]]:
     rows["received_ns"] = (table["received_us"] & ~3) * 1000
     rows["system"], rows["component"] = key[0], key[1]
     rows["kind"] = rule.kind
-    if rule.autopilot:
-        rows["autopilot"] = table[rule.autopilot]
+    if rule.is_heartbeat:
+        rows["autopilot"] = table["autopilot"]
+        rows["vehicle"] = table["type"]
     if rule.time:
         time, unit = table[rule.time[0]].astype(np.uint64), rule.time[1]
         rows["time_ns"] = np.where(time <= _TIME_LIMIT_NS // unit, time, 0).astype(np.int64) * unit

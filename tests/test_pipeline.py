@@ -74,7 +74,7 @@ def test_gyro_bias_is_taken_at_rest():
 
 
 def test_bias_that_appears_in_flight_is_learnt_about_the_horizontal_axes():
-    samples = still(20_000)
+    samples = still(30_000)
     samples["gyro_rad_s"][3000:] = (0.01, -0.02, 0.0)
     estimate = run(samples)[-1]
     np.testing.assert_allclose(estimate["gyro_bias_rad_s"][:2], [0.01, -0.02], atol=2e-3)

@@ -36,8 +36,13 @@ def load(path: str | Path | None = None, overrides: Iterable[str] = ()) -> Setti
 
 def from_document(document: dict[str, Any], origin: str) -> Settings:
     """Build settings from nested dictionaries; ConfigError names `origin`."""
+    defaults = dataclasses.asdict(Settings())
+    complete = {
+        name: {**defaults.get(name, {}), **section} if isinstance(section, dict) else section
+        for name, section in document.items()
+    }
     try:
-        settings = _ADAPTER.validate_python(document)
+        settings = _ADAPTER.validate_python(complete)
         intake.parameters(settings.intake)
     except ValidationError as error:
         raise ConfigError(_explain(error, origin)) from None
@@ -100,11 +105,8 @@ def _explain(error: ValidationError, origin: str) -> str:
 
 def _known(location: tuple[int | str, ...]) -> str:
     """List the names allowed beside an unknown one."""
-    fields = {field.name: field for field in dataclasses.fields(Settings)}
-    if len(location) > 1 and location[0] in fields:
-        section = fields[str(location[0])].default_factory
-        assert section is not dataclasses.MISSING
-        names: Iterable[str] = [field.name for field in dataclasses.fields(section())]
-    else:
-        names = fields
+    names = [field.name for field in dataclasses.fields(Settings)]
+    if len(location) > 1 and location[0] in names:
+        section = getattr(Settings(), str(location[0]))
+        names = [field.name for field in dataclasses.fields(section)]
     return "known are " + ", ".join(names)

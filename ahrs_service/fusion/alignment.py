@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.fusion.strapdown import ERROR_STATES
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats, Record
 from ahrs_service.rotation import from_euler, matrix, to_euler
@@ -34,16 +35,18 @@ REST_BIAS_SIGMA_RAD_S: Final = 0.002
 
 
 @kernel
-def start(state: Record, bias_sigma_rad_s: float) -> None:
-    """Forget the attitude and begin to align; the gyro bias found so far is kept."""
+def start(state: Record, bias_sigma_rad_s: float, velocity_sigma_m_s: float) -> None:
+    """Forget attitude and velocity and begin to align; the gyro bias found so far is kept."""
     p = state["covariance"]
-    for i in range(6):
-        for j in range(6):
+    for i in range(ERROR_STATES):
+        for j in range(ERROR_STATES):
             p[i, j] = 0.0
     p[0, 0] = p[1, 1] = TILT_SIGMA_RAD**2
     p[2, 2] = HEADING_SIGMA_RAD**2
     for i in range(3):
         p[3 + i, 3 + i] = bias_sigma_rad_s**2
+        p[6 + i, 6 + i] = velocity_sigma_m_s**2
+        state["velocity_ned_m_s"][i] = 0.0
         state["gyro_sum_rad_s"][i] = 0.0
         state["gyro_square_sum"][i] = 0.0
     state["force_error_sum"] = 0.0
@@ -105,7 +108,7 @@ def _take_rest_bias(state: Record) -> None:
     p = state["covariance"]
     for i in range(3):
         state["gyro_bias_rad_s"][i] = state["gyro_sum_rad_s"][i] / count
-        for j in range(6):
+        for j in range(ERROR_STATES):
             p[3 + i, j] = 0.0
             p[j, 3 + i] = 0.0
     for i in range(3):
@@ -113,12 +116,12 @@ def _take_rest_bias(state: Record) -> None:
 
 
 @kernel
-def bound_tilt(p: Floats) -> None:
+def bound_attitude(p: Floats) -> None:
     """Keep the attitude variances at what no knowledge at all means."""
     for axis in range(3):
         limit = HEADING_SIGMA_RAD**2
         if p[axis, axis] > limit:
             scale = math.sqrt(limit / p[axis, axis])
-            for j in range(6):
+            for j in range(ERROR_STATES):
                 p[axis, j] *= scale
                 p[j, axis] *= scale

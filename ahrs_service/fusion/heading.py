@@ -8,7 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.fusion.mekf import apply_correction, correct_axis
+from ahrs_service.fusion.mekf import apply_correction, correct_state
+from ahrs_service.fusion.strapdown import ERROR_STATES
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats, Record
 from ahrs_service.rotation import from_rotation_vector, matrix, multiply, normalise
@@ -75,12 +76,16 @@ def correct(settings: Record, state: Record, mag: Floats, dt_s: float) -> None:
         return
     if abs(norm - state["field_ut"]) > FIELD_TOLERANCE * state["field_ut"]:
         return
-    correction = np.zeros(6)
+    correction = np.zeros(ERROR_STATES)
     error = _azimuth_error(state["ned_from_body"], mag, settings["declination_rad"])
     variance = HEADING_SIGMA_RAD**2 * max(1.0, CORRELATION_S / dt_s)
-    correct_axis(state["covariance"], correction, 2, error, variance)
+    correct_state(state["covariance"], correction, 2, error, variance)
     # A magnetic error must not tilt the horizon through the cross terms.
     correction[0] = correction[1] = 0.0
     apply_correction(
-        state["ned_from_body"], state["gyro_bias_rad_s"], state["force_ned_m_s2"], correction
+        state["ned_from_body"],
+        state["gyro_bias_rad_s"],
+        state["velocity_ned_m_s"],
+        state["force_ned_m_s2"],
+        correction,
     )

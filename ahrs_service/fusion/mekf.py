@@ -1,8 +1,7 @@
-"""The multiplicative error-state Kalman filter's correction (Lefferts, Markley, Shuster 1982).
+"""The multiplicative error-state Kalman filter's corrections (Lefferts, Markley, Shuster 1982).
 
-The error angle is about earth axes: q_true = dq(psi) * q. Specific force turned to earth axes by
-the estimate then reads psi_E g north and -psi_N g east while nothing but gravity acts, so each
-tilt angle is measured alone and the update is two scalar ones.
+The error angle psi is about earth axes: q_true = dq(psi) * q. Every measurement is a scalar, taken
+one after the other into a correction vector that is moved into the state at the end of a turn.
 """
 
 import math
@@ -10,6 +9,7 @@ import math
 import numpy as np
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.fusion.strapdown import ERROR_STATES
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats
 from ahrs_service.rotation import from_rotation_vector, multiply, normalise
@@ -19,8 +19,8 @@ from ahrs_service.rotation import from_rotation_vector, multiply, normalise
 def tilt_from_force(force_ned: Floats, tilt: Floats) -> None:
     """Error angle about north and east [rad] that explains `force_ned` [3] by gravity alone.
 
-    `tilt` [2] is exact for large angles: the angle between the force and up, about the axis
-    normal to both.
+    To first order the force reads psi_E g north and -psi_N g east. `tilt` [2] is exact for large
+    angles: the angle between the force and up, about the axis normal to both.
     """
     north, east, up = force_ned[0], force_ned[1], -force_ned[2]
     horizontal = math.sqrt(north * north + east * east)
@@ -33,25 +33,63 @@ def tilt_from_force(force_ned: Floats, tilt: Floats) -> None:
 
 
 @kernel
-def correct_axis(
-    p: Floats, correction: Floats, axis: int, measured_rad: float, variance: float
-) -> None:
-    """Measure error angle `axis` once: update the covariance `p` [6, 6] and `correction` [6]."""
-    s = p[axis, axis] + variance
-    innovation = measured_rad - correction[axis]
-    gain = np.empty(6)
-    for i in range(6):
-        gain[i] = p[i, axis] / s
-    for i in range(6):
-        correction[i] += gain[i] * innovation
-        for j in range(i, 6):
-            p[i, j] -= gain[i] * gain[j] * s
+def _correct(p: Floats, correction: Floats, ph: Floats, s: float, innovation: float) -> None:
+    """Take one scalar innovation of variance `s`, `ph` [9] being P h, into both."""
+    for i in range(ERROR_STATES):
+        gain = ph[i] / s
+        correction[i] += gain * innovation
+        for j in range(i, ERROR_STATES):
+            p[i, j] -= gain * ph[j]
             p[j, i] = p[i, j]
 
 
 @kernel
-def apply_correction(q: Floats, gyro_bias: Floats, force_ned: Floats, correction: Floats) -> None:
-    """Move the correction [6] into `q` [4], `gyro_bias` [3] and the averaged `force_ned` [3]."""
+def correct_state(
+    p: Floats, correction: Floats, state: int, measured: float, variance: float
+) -> None:
+    """Measure one error state directly."""
+    ph = np.empty(ERROR_STATES)
+    for i in range(ERROR_STATES):
+        ph[i] = p[i, state]
+    _correct(p, correction, ph, p[state, state] + variance, measured - correction[state])
+
+
+@kernel
+def correct_body_velocity(
+    p: Floats,
+    correction: Floats,
+    axis: Floats,
+    velocity: Floats,
+    innovation_m_s: float,
+    variance: float,
+) -> None:
+    """Measure the velocity along one body axis, `axis` [3] being that axis in earth axes.
+
+    v_body = axis . v, so h = (axis x v, 0, axis) for the error states (psi, bias, velocity).
+    """
+    h = np.empty(ERROR_STATES)
+    h[0] = axis[1] * velocity[2] - axis[2] * velocity[1]
+    h[1] = axis[2] * velocity[0] - axis[0] * velocity[2]
+    h[2] = axis[0] * velocity[1] - axis[1] * velocity[0]
+    for i in range(3):
+        h[3 + i] = 0.0
+        h[6 + i] = axis[i]
+    ph = np.empty(ERROR_STATES)
+    s, expected = variance, 0.0
+    for i in range(ERROR_STATES):
+        ph[i] = 0.0
+        for j in range(3):
+            ph[i] += p[i, j] * h[j] + p[i, 6 + j] * h[6 + j]
+        s += h[i] * ph[i]
+        expected += h[i] * correction[i]
+    _correct(p, correction, ph, s, innovation_m_s - expected)
+
+
+@kernel
+def apply_correction(
+    q: Floats, gyro_bias: Floats, velocity: Floats, force_ned: Floats, correction: Floats
+) -> None:
+    """Move the correction [9] into the state; the averaged force [3] turns with the attitude."""
     turn = np.empty(4)
     x, y, z = correction[0], correction[1], correction[2]
     from_rotation_vector(x, y, z, turn)
@@ -63,3 +101,4 @@ def apply_correction(q: Floats, gyro_bias: Floats, force_ned: Floats, correction
     force_ned[2] = c + x * b - y * a
     for i in range(3):
         gyro_bias[i] += correction[3 + i]
+        velocity[i] += correction[6 + i]

@@ -8,8 +8,8 @@ from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats
 from ahrs_service.rotation import from_rotation_vector, multiply, normalise
 
-ERROR_STATES: Final = 6
-"""Error angle about north, east, down [rad], then gyro bias about x, y, z [rad/s]."""
+ERROR_STATES: Final = 9
+"""Error angle about north, east, down [rad], gyro bias x, y, z [rad/s], velocity n, e, d [m/s]."""
 
 
 @kernel
@@ -38,32 +38,32 @@ def rotate(q: Floats, rate_before: Floats, rate: Floats, dt_s: float) -> None:
 
 @kernel
 def grow_covariance(
-    p: Floats, ned_from_body: Floats, dt_s: float, angle_variance: float, bias_variance: float
+    p: Floats, rotation_s: Floats, impulse: Floats, angle: float, bias: float, velocity: float
 ) -> None:
-    """Propagate the covariance `p` [6, 6] over `dt_s`.
+    """Propagate the covariance `p` [9, 9] over an interval of integrals.
 
-    Error angle in earth axes: d(psi)/dt = -C_nb d(bias), so with M = C_nb dt the blocks become
-    A - M B' - B M' + M C M' + Q, B - M C, C + Q. `angle_variance` [rad^2] and `bias_variance`
-    [(rad/s)^2] are what the noise adds in this step.
+    `rotation_s` [3, 3] is the integral of C_nb [s], `impulse` [3] that of the specific force in
+    earth axes [m/s]. With psi' = psi - rotation_s bias and v' = v + psi x impulse the rows, then
+    the columns are turned; `angle`, `bias`, `velocity` are the variances that noise added.
     """
-    m = np.empty((3, 3))
-    mc = np.empty((3, 3))
+    for column in range(ERROR_STATES):
+        _shear(p[:, column], rotation_s, impulse)
+    for row in range(ERROR_STATES):
+        _shear(p[row, :], rotation_s, impulse)
     for i in range(3):
-        for j in range(3):
-            m[i, j] = ned_from_body[i, j] * dt_s
+        p[i, i] += angle
+        p[3 + i, 3 + i] += bias
+        p[6 + i, 6 + i] += velocity
+    for i in range(ERROR_STATES):
+        for j in range(i):
+            p[i, j] = p[j, i]
+
+
+@kernel
+def _shear(x: Floats, rotation_s: Floats, impulse: Floats) -> None:
+    """Apply the transition to one error vector [9]; velocity first, by the angle before."""
+    x[6] += x[1] * impulse[2] - x[2] * impulse[1]
+    x[7] += x[2] * impulse[0] - x[0] * impulse[2]
+    x[8] += x[0] * impulse[1] - x[1] * impulse[0]
     for i in range(3):
-        for j in range(3):
-            mc[i, j] = m[i, 0] * p[3, 3 + j] + m[i, 1] * p[4, 3 + j] + m[i, 2] * p[5, 3 + j]
-    for i in range(3):
-        for j in range(i, 3):
-            mb_ij = m[i, 0] * p[j, 3] + m[i, 1] * p[j, 4] + m[i, 2] * p[j, 5]
-            mb_ji = m[j, 0] * p[i, 3] + m[j, 1] * p[i, 4] + m[j, 2] * p[i, 5]
-            mcm = mc[i, 0] * m[j, 0] + mc[i, 1] * m[j, 1] + mc[i, 2] * m[j, 2]
-            p[i, j] = p[i, j] - mb_ij - mb_ji + mcm
-            p[j, i] = p[i, j]
-        p[i, i] += angle_variance
-    for i in range(3):
-        for j in range(3):
-            p[i, 3 + j] -= mc[i, j]
-            p[3 + j, i] = p[i, 3 + j]
-        p[3 + i, 3 + i] += bias_variance
+        x[i] -= rotation_s[i, 0] * x[3] + rotation_s[i, 1] * x[4] + rotation_s[i, 2] * x[5]

@@ -79,15 +79,22 @@ def test_constant_rate_is_exact():
 
 def test_covariance_equals_the_matrix_form():
     rng = np.random.default_rng(1)
-    square = rng.normal(size=(6, 6))
+    square = rng.normal(size=(9, 9))
     p = square @ square.T
-    dcm, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    dt, q_angle, q_bias = 0.01, 2e-5, 3e-7
-    transition = np.eye(6)
-    transition[:3, 3:] = -dcm * dt
-    noise = np.diag([q_angle] * 3 + [q_bias] * 3)
+    rotation_s, impulse = 0.02 * rng.normal(size=(3, 3)), rng.normal(size=3)
+    angle, bias, velocity = 2e-5, 3e-7, 4e-3
+    by_bias, by_angle = np.eye(9), np.eye(9)
+    by_bias[:3, 3:6] = -rotation_s
+    # v' = v + psi x impulse.
+    by_angle[6:, :3] = [
+        [0.0, impulse[2], -impulse[1]],
+        [-impulse[2], 0.0, impulse[0]],
+        [impulse[1], -impulse[0], 0.0],
+    ]
+    transition = by_bias @ by_angle
+    noise = np.diag([angle] * 3 + [bias] * 3 + [velocity] * 3)
     expected = transition @ p @ transition.T + noise
-    grow_covariance(p, dcm, dt, q_angle, q_bias)
+    grow_covariance(p, rotation_s, impulse, angle, bias, velocity)
     np.testing.assert_allclose(p, expected, rtol=1e-12)
 
 

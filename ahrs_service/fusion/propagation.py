@@ -1,0 +1,128 @@
+"""From sample to sample: attitude and velocity move at once, the covariance once per turn.
+
+A turn is at least 20 ms long; between turns the integrals that the covariance needs are gathered,
+so a fast IMU costs little more than a slow one.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+
+from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.fusion import strapdown
+from ahrs_service.fusion.alignment import bound_attitude
+from ahrs_service.kernel import kernel
+from ahrs_service.records import Flag, Floats, Record
+from ahrs_service.rotation import matrix
+
+PROPAGATION_FIELDS: Final = [
+    ("turn_s", "f8"),
+    ("turn_rotation_s", "f8", (3, 3)),
+    ("turn_impulse_m_s", "f8", 3),
+    ("turn_angle_variance", "f8"),
+    ("turn_velocity_variance", "f8"),
+]
+"""Fields of the pipeline's state that this module keeps."""
+
+TURN_S: Final = 0.02
+GAP_RATE_SIGMA_RAD_S: Final = 0.5
+"""What a small UAV may have turned, per second that no sample came [rad/s]."""
+GAP_FORCE_SIGMA_M_S2: Final = 3.0
+"""And how it may have accelerated [m/s^2]."""
+
+_GAP = int(Flag.GAP)
+_ACCEL_MISSING = int(Flag.ACCEL_MISSING)
+
+
+@kernel
+def move(
+    settings: Record, state: Record, gyro: Floats, accel: Floats, dt_s: float, flags: int
+) -> None:
+    """Integrate one sample and gather what it adds to the turn.
+
+    The rate between two samples is known to half of what it changed, so a slow or irregular
+    stream widens the covariance by itself.
+    """
+    rate = np.empty(3)
+    change2 = 0.0
+    for i in range(3):
+        rate[i] = gyro[i] - state["gyro_bias_rad_s"][i]
+        change2 += (rate[i] - state["rate_rad_s"][i]) ** 2
+    if flags & _GAP:
+        state["turn_angle_variance"] += (GAP_RATE_SIGMA_RAD_S * dt_s) ** 2
+    else:
+        state["turn_angle_variance"] += change2 * dt_s * dt_s / 48.0
+        strapdown.rotate(state["ned_from_body"], state["rate_rad_s"], rate, dt_s)
+    _smooth_rate(settings, state, rate, dt_s)
+    ned_from_body = np.empty((3, 3))
+    matrix(state["ned_from_body"], ned_from_body)
+    for i in range(3):
+        state["rate_rad_s"][i] = rate[i]
+        for j in range(3):
+            state["turn_rotation_s"][i, j] += ned_from_body[i, j] * dt_s
+    state["turn_s"] += dt_s
+    if flags & (_GAP | _ACCEL_MISSING):
+        state["turn_velocity_variance"] += (GAP_FORCE_SIGMA_M_S2 * dt_s) ** 2
+    else:
+        _move_velocity(settings, state, ned_from_body, accel, dt_s)
+
+
+@kernel
+def _smooth_rate(settings: Record, state: Record, rate: Floats, dt_s: float) -> None:
+    """Follow the smoothed rate and its derivative, which the gates look at."""
+    weight = dt_s / (settings["smoothing_s"] + dt_s)
+    for i in range(3):
+        step = weight * (rate[i] - state["smooth_rate_rad_s"][i])
+        state["smooth_rate_rad_s"][i] += step
+        state["angular_acceleration_rad_s2"][i] = step / dt_s
+
+
+@kernel
+def _move_velocity(
+    settings: Record, state: Record, ned_from_body: Floats, accel: Floats, dt_s: float
+) -> None:
+    """Integrate the specific force, and average it in earth axes, where gravity stands still."""
+    weight = dt_s / (settings["smoothing_s"] + dt_s)
+    norm2 = 0.0
+    for i in range(3):
+        force = 0.0
+        for j in range(3):
+            force += ned_from_body[i, j] * accel[j]
+        norm2 += force * force
+        state["force_ned_m_s2"][i] += weight * (force - state["force_ned_m_s2"][i])
+        state["turn_impulse_m_s"][i] += force * dt_s
+        state["velocity_ned_m_s"][i] += force * dt_s
+    state["velocity_ned_m_s"][2] += STANDARD_GRAVITY_M_S2 * dt_s
+    excess = settings["accel_scale_error"] * (math.sqrt(norm2) - STANDARD_GRAVITY_M_S2)
+    noise2 = settings["velocity_noise_m_s_rts"] ** 2 + excess * excess
+    state["turn_velocity_variance"] += noise2 * dt_s
+
+
+@kernel
+def grow(settings: Record, state: Record) -> float:
+    """Propagate the covariance over the turn and begin the next; return the turn's length [s]."""
+    turn_s = state["turn_s"]
+    strapdown.grow_covariance(
+        state["covariance"],
+        state["turn_rotation_s"],
+        state["turn_impulse_m_s"],
+        settings["gyro_noise_rad_s_rthz"] ** 2 * turn_s + state["turn_angle_variance"],
+        settings["gyro_bias_walk_rad_s2_rthz"] ** 2 * turn_s,
+        state["turn_velocity_variance"],
+    )
+    bound_attitude(state["covariance"])
+    begin_turn(state)
+    return float(turn_s)
+
+
+@kernel
+def begin_turn(state: Record) -> None:
+    """Set the turn's integrals to zero."""
+    state["turn_s"] = 0.0
+    state["turn_angle_variance"] = 0.0
+    state["turn_velocity_variance"] = 0.0
+    for i in range(3):
+        state["turn_impulse_m_s"][i] = 0.0
+        for j in range(3):
+            state["turn_rotation_s"][i, j] = 0.0

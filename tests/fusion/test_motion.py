@@ -1,0 +1,87 @@
+"""The velocity filter on flights where the accelerometer alone would lie."""
+
+import numpy as np
+import pytest
+
+from ahrs_service import pipeline
+from ahrs_service.fusion import mekf
+from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, Airframe, empty
+from ahrs_service.rotation import inverse_columns, multiply_columns, rotate_columns
+from ahrs_service.sensor.parameters import Calibration, coefficients
+from ahrs_service.settings import FusionSettings, Settings
+from ahrs_service.simulation.scenario import make_flight
+
+
+def fly(scenario, seconds, mode, airframe=Airframe.FIXED_WING, with_airspeed=False):
+    """Run a simulated flight; return true attitude [N, 4] and the estimates [N]."""
+    rows = make_flight(scenario, seconds, seed=2, rate_hz=100.0).rows
+    samples = empty(SAMPLE_DTYPE, len(rows))
+    samples["time_ns"] = np.round(rows["time_s"] * 1e9).astype(np.int64)
+    samples["gyro_rad_s"], samples["accel_m_s2"] = rows["gyro_rad_s"], rows["accel_m_s2"]
+    samples["airframe"] = airframe
+    if with_airspeed:
+        samples["airspeed_m_s"][::10] = rows["airspeed_m_s"][::10]
+    parameters = pipeline.parameters(Settings(fusion=FusionSettings(mode=mode)))
+    estimates = empty(ESTIMATE_DTYPE, len(rows))
+    ideal = coefficients(Calibration.ideal())
+    pipeline.batch(parameters, ideal, pipeline.new_state(), samples, estimates)
+    return rows["ned_from_body"], estimates
+
+
+def tilt_errors_deg(truth, estimates):
+    """Angle between the true and the estimated vertical [N], from 5 s on."""
+    turned = multiply_columns(truth, inverse_columns(estimates["ned_from_body"]))
+    down = rotate_columns(turned, np.tile([0.0, 0.0, 1.0], (len(truth), 1)))
+    return np.degrees(np.arccos(np.clip(down[:, 2], -1.0, 1.0)))[500:]
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def test_circling_is_no_climb_out_of_the_turn():
+    truth, by_velocity = fly("circling", 180.0, "velocity")
+    _, by_gates = fly("circling", 180.0, "gated")
+    velocity_rms = rms(tilt_errors_deg(truth, by_velocity))
+    assert velocity_rms < 3.0
+    assert velocity_rms < 0.5 * rms(tilt_errors_deg(truth, by_gates))
+
+
+def test_airspeed_helps_in_a_whole_flight():
+    truth, without = fly("flight", 120.0, "velocity")
+    _, aided = fly("flight", 120.0, "velocity", with_airspeed=True)
+    assert rms(tilt_errors_deg(truth, aided)) < rms(tilt_errors_deg(truth, without))
+
+
+def test_rest_teaches_the_bias():
+    _, estimates = fly("rest", 30.0, "velocity")
+    sigma = estimates["gyro_bias_sigma_rad_s"]
+    assert sigma[-1].max() < 0.1 * sigma[10].max()
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_velocity_correction_equals_the_matrix_form(axis):
+    rng = np.random.default_rng(axis)
+    square = rng.normal(size=(9, 9))
+    p = square @ square.T
+    direction, velocity = np.eye(3)[axis], rng.normal(size=3)
+    h = np.concatenate([np.cross(direction, velocity), np.zeros(3), direction])
+    innovation, variance = 0.7, 2.0
+    gain = p @ h / (h @ p @ h + variance)
+    expected = p - np.outer(gain, h @ p)
+    correction = np.zeros(9)
+    mekf.correct_body_velocity(p, correction, direction, velocity, innovation, variance)
+    np.testing.assert_allclose(correction, gain * innovation, rtol=1e-12)
+    np.testing.assert_allclose(p, expected, rtol=1e-10, atol=1e-12)
+
+
+def test_direct_correction_equals_the_matrix_form():
+    rng = np.random.default_rng(7)
+    square = rng.normal(size=(9, 9))
+    p = square @ square.T
+    gain = p[:, 4] / (p[4, 4] + 0.5)
+    expected = p - np.outer(gain, p[4])
+    correction = np.zeros(9)
+    mekf.correct_state(p, correction, 4, 0.3, 0.5)
+    np.testing.assert_allclose(correction, 0.3 * gain, rtol=1e-12)
+    np.testing.assert_allclose(p, expected, rtol=1e-10, atol=1e-12)
