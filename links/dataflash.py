@@ -23,6 +23,8 @@ _ACCEL: Final = ("AccX", "AccY", "AccZ")
 _TEMPERATURES: Final = ("T", "Temp")
 _INSTANCES: Final = ("I", "C")
 _TIMES: Final = {"TimeUS": 1000, "TimeMS": 1_000_000}
+_VEHICLES: Final = ((b"Plane", 1), (b"Copter", 2), (b"Rover", 10), (b"Sub", 12))
+"""MAV_TYPE by the firmware's name, as the first messages of a log give it."""
 _VELOCITIES: Final = ("XKF1", "NKF1", "EKF1")
 _AIRSPEEDS: Final = (("ARSP", "Airspeed"), ("NTUN", "Arspd"))
 _REFERENCES: Final = ("SIM", "ATT", "AHR2", "XKF1", "NKF1", "EKF1")
@@ -44,6 +46,7 @@ def read_dataflash(path: str | Path, progress: Callable[[float], None] | None = 
     readings = np.concatenate([rows for _, rows in parts])[order]
     heartbeat = _rows(readings["time_ns"][:1], Kind.HEARTBEAT)
     heartbeat["autopilot"] = _AUTOPILOT_ARDUPILOT
+    heartbeat["vehicle"] = _vehicle(log)
     return Recording(
         path=path,
         format="DataFlash",
@@ -53,6 +56,18 @@ def read_dataflash(path: str | Path, progress: Callable[[float], None] | None = 
         damaged=log.damaged,
         notes=_notes(log, imu),
     )
+
+
+def _vehicle(log: DataFlashFile) -> int:
+    """Return the MAV_TYPE of the firmware that wrote the log, 0 (generic) where it is not told."""
+    if "MSG" not in log.counts():
+        return 0
+    texts = log.table("MSG")["Message"][:10].tolist()
+    for text in texts:
+        for name, vehicle in _VEHICLES:
+            if name in text:
+                return vehicle
+    return 0
 
 
 class _Table:

@@ -56,6 +56,7 @@ def read_ulog(path: str | Path, progress: Callable[[float], None] | None = None)
     readings = readings[np.argsort(readings["time_ns"], kind="stable")]
     heartbeat = _rows(readings["time_ns"][:1], Kind.HEARTBEAT)
     heartbeat["autopilot"] = _AUTOPILOT_PX4
+    heartbeat["vehicle"] = tables.vehicle
     origin = "none of its own in the log" if temperature is None else f"from {temperature.origin}"
     return Recording(
         path=path,
@@ -76,6 +77,7 @@ class _Tables:
     counts: dict[str, int]
     damaged: dict[str, int]
     notes: tuple[str, ...]
+    vehicle: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +131,13 @@ def _load(path: Path, progress: Callable[[float], None] | None) -> _Tables:
     counts: dict[str, int] = {}
     for (name, _), data in topics.items():
         counts[name] = counts.get(name, 0) + len(data["timestamp"])
-    return _Tables(topics, counts, damaged, notes)
+    return _Tables(topics, counts, damaged, notes, _vehicle(log.initial_parameters))
+
+
+def _vehicle(parameters: dict[str, Any]) -> int:
+    """Return the parameter MAV_TYPE, 0 (generic) where a log has none that is possible."""
+    value = parameters.get("MAV_TYPE", 0)
+    return int(value) if 0 <= value <= 255 else 0
 
 
 def _no_imu(path: Path, tables: _Tables) -> str:
