@@ -47,7 +47,7 @@ GATE_TEXTS: Final = (*(_gate_text(code) for code in range(_CLOSED)), "waiting", 
 GATE_COLOURS: Final = (*(_gate_colour(code) for code in range(_CLOSED)), GREY, BLUE, RED)
 
 
-TRUST_TEXTS: Final = ("not trusted: gyro only", "partly trusted", "trusted")
+TRUST_TEXTS: Final = ("not trusted", "partly trusted", "trusted")
 TRUST_COLOURS: Final = (RED, AMBER, GREEN)
 _PARTLY: Final = 0.1
 _MOSTLY: Final = 0.5

@@ -26,6 +26,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 from ahrs_service.app import config_file
 from ahrs_service.app.export import write_csv, write_parquet
+from ahrs_service.app.export_rrd import write_recording
 from ahrs_service.app.export_tlog import write_tlog
 from ahrs_service.app.replay_log import ReplayResult, replay_log
 from ahrs_service.app.report import log_table, summary_table
@@ -165,24 +166,6 @@ class _Outputs:
         return next(place / name for name in names if place / name not in self.used)
 
 
-def _write_rrd(path: Path, result: ReplayResult) -> None:
-    # Loading rerun takes longer than replaying most logs.
-    from viz.batch import write_rrd  # noqa: PLC0415
-
-    references = sorted(result.recording.references, key=lambda one: not one.is_truth)
-    start_ns = int(result.estimates["time_ns"][0])
-    messages = [(start_ns, "INFO", text) for text in result.summary.notes]
-    messages += [(start_ns, "WARN", text) for text in result.summary.warnings]
-    write_rrd(
-        path,
-        result.estimates,
-        references,
-        {"IMU": (result.estimates["time_ns"], result.estimates["temperature_degc"])},
-        messages=messages,
-        gate=result.settings.gate,
-    )
-
-
 def _write_tlog(path: Path, result: ReplayResult) -> None:
     write_tlog(
         path,
@@ -204,7 +187,7 @@ def _write_csv(path: Path, result: ReplayResult) -> None:
 
 
 _WRITERS: Final[dict[str, Callable[[Path, ReplayResult], None]]] = {
-    "rrd": _write_rrd,
+    "rrd": write_recording,
     "tlog": _write_tlog,
     "parquet": _write_parquet,
     "csv": _write_csv,
