@@ -1,5 +1,7 @@
 """Our estimate as MAVLink messages, each at its own rate by the samples' own time."""
 
+import math
+from collections.abc import Iterable
 from typing import Any, Final
 
 import numpy as np
@@ -10,6 +12,8 @@ from ahrs_service.settings import PublishSettings
 from links.mavlink_codec import dialect
 
 _MS_PER_TURN: Final = 1 << 32
+_LARGEST: Final = float(np.finfo(np.float32).max)
+_NAMES: Final = (b"AhrsGate", b"AhrsResid", b"AhrsSigma")
 
 
 class Cadence:
@@ -20,7 +24,7 @@ class Cadence:
     """
 
     def __init__(self, rate_hz: float) -> None:
-        self._period_ns = round(1e9 / rate_hz) if rate_hz > 0.0 else 0
+        self._period_ns = max(1, round(1e9 / rate_hz)) if rate_hz > 0.0 else 0
         self._next_ns: int | None = None
 
     def due(self, time_ns: int) -> bool:
@@ -65,8 +69,13 @@ class Publisher:
         """Return ATTITUDE of one estimate."""
         to_euler(estimate["ned_from_body"], self._euler)
         return dialect.MAVLink_attitude_message(
-            boot_ms(estimate), *self._euler.tolist(), *estimate["rate_rad_s"].tolist()
+            boot_ms(estimate), *self._euler.tolist(), *_float32(estimate["rate_rad_s"].tolist())
         )
+
+
+def _float32(values: Iterable[float]) -> list[float]:
+    """Return values that fit 32 bits: a forged IMU reading must not stop the packing."""
+    return [max(min(value, _LARGEST), -_LARGEST) for value in values]
 
 
 def boot_ms(estimate: Record) -> int:
@@ -77,20 +86,21 @@ def boot_ms(estimate: Record) -> int:
 def attitude_quaternion(estimate: Record) -> Any:
     """Return ATTITUDE_QUATERNION of one estimate."""
     return dialect.MAVLink_attitude_quaternion_message(
-        boot_ms(estimate), *estimate["ned_from_body"].tolist(), *estimate["rate_rad_s"].tolist()
+        boot_ms(estimate),
+        *estimate["ned_from_body"].tolist(),
+        *_float32(estimate["rate_rad_s"].tolist()),
     )
 
 
 def named_values(estimate: Record) -> list[Any]:
     """Return what ArduPilot can log of us: gate reasons, residual [m/s^2], tilt sigma [rad]."""
     time_ms = boot_ms(estimate)
-    residual, sigma = estimate["residual_m_s2"], estimate["attitude_sigma_rad"]
-    values = {
-        b"AhrsGate": float(estimate["gate"]),
-        b"AhrsResid": float(np.sqrt((residual * residual).sum())),
-        b"AhrsSigma": float(max(sigma[0], sigma[1])),
-    }
+    values = (
+        float(estimate["gate"]),
+        math.hypot(*estimate["residual_m_s2"].tolist()),
+        max(estimate["attitude_sigma_rad"][:2].tolist()),
+    )
     return [
         dialect.MAVLink_named_value_float_message(time_ms, name, value)
-        for name, value in values.items()
+        for name, value in zip(_NAMES, _float32(values), strict=True)
     ]

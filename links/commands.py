@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from ahrs_service.records import Record
 from ahrs_service.settings import PublishSettings, Settings
-from links.attitude_messages import Publisher, attitude_quaternion
+from links.attitude_messages import Publisher, attitude_quaternion, named_values
 from links.mavlink_codec import dialect
 
 _RATE_OF: Final = {
@@ -16,8 +16,10 @@ _RATE_OF: Final = {
 }
 """Messages of ours whose rate can be set, by the setting that holds it."""
 _FASTEST_HZ: Final = 1000.0
+_LONGEST_INTERVAL_US: Final = (1 << 31) - 1
 _ACCEPTED: Final = int(dialect.MAV_RESULT_ACCEPTED)
 _DENIED: Final = int(dialect.MAV_RESULT_DENIED)
+_NOT_NOW: Final = int(dialect.MAV_RESULT_TEMPORARILY_REJECTED)
 _UNSUPPORTED: Final = int(dialect.MAV_RESULT_UNSUPPORTED)
 
 Answer = tuple[int, list[Any], Settings]
@@ -73,7 +75,7 @@ def _get_interval(message: Any, publish: PublishSettings) -> tuple[int, list[Any
     if key is None:
         return _UNSUPPORTED, []
     rate_hz = float(getattr(publish, key))
-    interval_us = round(1e6 / rate_hz) if rate_hz else -1
+    interval_us = round(min(1e6 / rate_hz, _LONGEST_INTERVAL_US)) if rate_hz else -1
     return _ACCEPTED, [dialect.MAVLink_message_interval_message(message_id, interval_us)]
 
 
@@ -84,12 +86,15 @@ def _request(message: Any, heartbeat: Any, estimate: Record | None) -> tuple[int
         return _ACCEPTED, [heartbeat]
     if message_id == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
         return _ACCEPTED, [_version()]
-    if estimate is not None and message_id == dialect.MAVLINK_MSG_ID_ATTITUDE:
+    if message_id not in _RATE_OF:
+        return _UNSUPPORTED, []
+    if estimate is None:
+        return _NOT_NOW, []
+    if message_id == dialect.MAVLINK_MSG_ID_ATTITUDE:
         return _ACCEPTED, [Publisher(PublishSettings()).attitude(estimate)]
-    if estimate is not None and message_id == dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION:
+    if message_id == dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION:
         return _ACCEPTED, [attitude_quaternion(estimate)]
-    known = message_id in _RATE_OF
-    return (_DENIED if known else _UNSUPPORTED), []
+    return _ACCEPTED, named_values(estimate)
 
 
 def _capabilities() -> int:

@@ -6,6 +6,7 @@ a rate that is lost (a ground station or a reboot reset it) is asked for again, 
 that answers nothing is asked once in the old way, by REQUEST_DATA_STREAM.
 """
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -30,11 +31,16 @@ LADDER_HZ: Final = (
 ANSWER_S: Final = 0.7
 ATTEMPTS: Final = 3
 WINDOW_S: Final = 2.0
+WINDOW_MESSAGES: Final = 5.0
+"""Rates are measured over 2 s, slow ones over 5 messages: one late message must not matter."""
 SETTLING_S: Final = 5.0
 """A rate is judged this long after it was granted, not before."""
 ASK_AGAIN_S: Final = 10.0
 LONGEST_ASK_AGAIN_S: Final = 120.0
 LOST_SHARE: Final = 0.5
+LATE_ANSWER_S: Final = 0.3
+"""How much later than the first the answers to repeated requests may come."""
+_EVENTS: Final = 64
 
 _SET_INTERVAL: Final = int(dialect.MAV_CMD_SET_MESSAGE_INTERVAL)
 _ACCEPTED: Final = int(dialect.MAV_RESULT_ACCEPTED)
@@ -60,8 +66,28 @@ class Rate:
     settled_s: float = float("inf")
     retry_s: float = float("-inf")
     patience_s: float = ASK_AGAIN_S
+    patient_until_s: float = float("-inf")
     attempts: int = 0
+    window_s: float = float("-inf")
     count: int = 0
+    heard: int = 0
+    first_s: float = float("-inf")
+    last_s: float = float("-inf")
+
+    @property
+    def mean_hz(self) -> float:
+        """Mean rate from the first to the last message heard [Hz], silence between included."""
+        if self.last_s <= self.first_s:
+            return 0.0
+        return (self.heard - 1) / (self.last_s - self.first_s)
+
+    def is_silent(self, now_s: float) -> bool:
+        """Return whether nothing comes although it was granted."""
+        return (
+            self.granted_hz is not None
+            and now_s > self.settled_s
+            and now_s - self.last_s > max(SETTLING_S, WINDOW_MESSAGES / self.granted_hz)
+        )
 
 
 class Intervals:
@@ -69,9 +95,10 @@ class Intervals:
 
     def __init__(self, wanted_hz: Mapping[str, float]) -> None:
         self.rates: dict[int, Rate] = {}
-        self.events: list[tuple[str, str]] = []
+        self.events: deque[tuple[str, str]] = deque(maxlen=_EVENTS)
         self._asking: Rate | None = None
         self._deadline_s = 0.0
+        self._quiet_until_s = float("-inf")
         self._window_s = float("-inf")
         self._answered = False
         self._old_way = False
@@ -79,10 +106,10 @@ class Intervals:
             self.want(name, hertz)
 
     def want(self, name: str, hertz: float) -> None:
-        """Want a message at `hertz`, or at more than was wanted before."""
+        """Want a message at `hertz`, or at more than was wanted before; 0 leaves it alone."""
         message_id = int(getattr(dialect, f"MAVLINK_MSG_ID_{name}"))
         known = self.rates.get(message_id)
-        if known is None or hertz > known.wanted_hz:
+        if hertz > (0.0 if known is None else known.wanted_hz):
             self.rates[message_id] = Rate(name, message_id, hertz, hertz)
 
     def find(self, name: str) -> Rate | None:
@@ -92,15 +119,23 @@ class Intervals:
     def forget(self) -> None:
         """Ask for everything anew: the autopilot restarted or the link came back."""
         self._asking = None
+        self._window_s = float("-inf")
+        self._answered = self._old_way = False
         for rate in self.rates.values():
-            rate.asked_hz, rate.granted_hz = rate.wanted_hz, None
+            rate.asked_hz, rate.granted_hz, rate.measured_hz = rate.wanted_hz, None, 0.0
+            rate.window_s = float("-inf")
             rate.retry_s, rate.patience_s, rate.attempts = float("-inf"), ASK_AGAIN_S, 0
+            rate.patient_until_s = float("-inf")
             rate.state = "not asked yet"
 
-    def heard(self, message_id: int) -> None:
+    def heard(self, message_id: int, now_s: float) -> None:
         """Count one message of the autopilot."""
         rate = self.rates.get(message_id)
         if rate is not None:
+            if not rate.heard:
+                rate.first_s = now_s
+            rate.last_s = now_s
+            rate.heard += 1
             rate.count += 1
 
     def tick(self, now_s: float, system: int, component: int) -> list[Any]:
@@ -110,10 +145,14 @@ class Intervals:
             if now_s < self._deadline_s:
                 return []
             self._give_up_waiting(self._asking, now_s)
+        if now_s < self._quiet_until_s:
+            return []
         if self._asking is None:
+            if self._is_deaf():
+                return self._ask_the_old_way(system, component)
             self._asking = self._next_to_ask(now_s)
         if self._asking is None:
-            return self._ask_the_old_way(system, component)
+            return []
         self._asking.attempts += 1
         self._deadline_s = now_s + ANSWER_S
         interval_us = 1e6 / self._asking.asked_hz
@@ -142,8 +181,7 @@ class Intervals:
         if result == _IN_PROGRESS:
             self._deadline_s = now_s + ANSWER_S
             return
-        self._asking = None
-        rate.attempts = 0
+        self._finish(rate, now_s)
         if result == _ACCEPTED:
             self._grant(rate, now_s)
         elif result in _REFUSED:
@@ -152,10 +190,18 @@ class Intervals:
             rate.state = "unsupported"
             rate.retry_s = float("inf")
 
+    def _finish(self, rate: Rate, now_s: float) -> None:
+        """End the request under way; answers to its repetitions are not those of the next one."""
+        if rate.attempts > 1:
+            self._quiet_until_s = now_s + (rate.attempts - 1) * ANSWER_S + LATE_ANSWER_S
+        rate.attempts = 0
+        self._asking = None
+
     def _grant(self, rate: Rate, now_s: float) -> None:
         changed = rate.granted_hz != rate.asked_hz
         rate.granted_hz = rate.asked_hz
         rate.settled_s = now_s + SETTLING_S
+        rate.window_s, rate.count = now_s, 0
         rate.retry_s = float("inf")
         rate.state = "granted"
         if changed and rate.asked_hz < rate.wanted_hz:
@@ -168,10 +214,11 @@ class Intervals:
             )
 
     def _step_down(self, rate: Rate, now_s: float) -> None:
+        rate.granted_hz = None
         lower = [hertz for hertz in LADDER_HZ if hertz < rate.asked_hz]
         if lower:
             rate.asked_hz = lower[0]
-            rate.retry_s = now_s
+            rate.retry_s = float("-inf")
             rate.state = f"denied, asking for {rate.asked_hz:.0f} Hz"
             return
         rate.state, rate.retry_s = "denied", now_s + LONGEST_ASK_AGAIN_S
@@ -182,19 +229,24 @@ class Intervals:
             return
         self._asking = None
         rate.attempts = 0
+        rate.granted_hz = None
         rate.state = "no answer"
         rate.retry_s = now_s + rate.patience_s
         rate.patience_s = min(2.0 * rate.patience_s, LONGEST_ASK_AGAIN_S)
 
     def _next_to_ask(self, now_s: float) -> Rate | None:
-        due = [rate for rate in self.rates.values() if rate.retry_s <= now_s]
-        return due[0] if due else None
+        """Return what waits longest, so that nothing is kept from its turn."""
+        first = min(self.rates.values(), key=lambda rate: rate.retry_s, default=None)
+        return first if first is not None and first.retry_s <= now_s else None
+
+    def _is_deaf(self) -> bool:
+        """Return whether every request went without an answer and the old way is still open."""
+        if self._answered or self._old_way:
+            return False
+        return all(rate.state == "no answer" for rate in self.rates.values())
 
     def _ask_the_old_way(self, system: int, component: int) -> list[Any]:
-        """Ask once by streams, when every request went without an answer."""
-        silent = all(rate.state == "no answer" for rate in self.rates.values())
-        if self._answered or self._old_way or not silent:
-            return []
+        """Ask by streams."""
         self._old_way = True
         self.events.append(
             ("warning", "no answer to SET_MESSAGE_INTERVAL; asking by REQUEST_DATA_STREAM")
@@ -212,14 +264,15 @@ class Intervals:
         ]
 
     def _measure(self, now_s: float) -> None:
-        elapsed_s = now_s - self._window_s
-        if elapsed_s < WINDOW_S:
+        if now_s - self._window_s < WINDOW_S:
             return
-        first = elapsed_s == float("inf")
         self._window_s = now_s
         for rate in self.rates.values():
-            rate.measured_hz = 0.0 if first else rate.count / elapsed_s
-            rate.count = 0
+            elapsed_s = now_s - rate.window_s
+            if elapsed_s * (rate.granted_hz or rate.wanted_hz) < WINDOW_MESSAGES:
+                continue
+            rate.measured_hz = rate.count / elapsed_s
+            rate.window_s, rate.count = now_s, 0
             self._judge(rate, now_s)
 
     def _judge(self, rate: Rate, now_s: float) -> None:
@@ -231,9 +284,9 @@ class Intervals:
             rate.patience_s = ASK_AGAIN_S
             return
         rate.state = f"granted, yet {rate.measured_hz:.1f} Hz come"
-        if rate.retry_s == float("inf"):
+        if now_s >= rate.patient_until_s:
             rate.retry_s = now_s
-            rate.settled_s = now_s + rate.patience_s
+            rate.patient_until_s = now_s + rate.patience_s
             rate.patience_s = min(2.0 * rate.patience_s, LONGEST_ASK_AGAIN_S)
             self.events.append(
                 (

@@ -1,16 +1,20 @@
 """The service's parameters over the PARAM protocol: gate limits and publish rates."""
 
 import dataclasses
+import itertools
 import math
+from collections import deque
 from dataclasses import dataclass
 from typing import Any, Final
+
+import numpy as np
 
 from ahrs_service.settings import Settings
 from links.mavlink_codec import dialect
 
 _REAL32: Final = int(dialect.MAV_PARAM_TYPE_REAL32)
 _PER_TICK: Final = 5
-_WAITING: Final = 64
+_EVENTS: Final = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +36,7 @@ PARAMETERS: Final = {
     "AHRS_PUB_QUAT": Parameter("publish", "attitude_quaternion_rate_hz", 0.0, 1000.0),
     "AHRS_PUB_NAMED": Parameter("publish", "named_value_rate_hz", 0.0, 100.0),
 }
-"""By name (at most 16 characters); a value travels as a 32-bit float, so 0.35 becomes 0.3499999."""
+"""By name (at most 16 characters)."""
 _NAMES: Final = tuple(PARAMETERS)
 
 
@@ -60,42 +64,50 @@ class ParameterServer:
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
-        self.events: list[tuple[str, str]] = []
-        self._to_send: list[str] = []
+        self.events: deque[tuple[str, str]] = deque(maxlen=_EVENTS)
+        # Each name waits once, in order: no flood of requests makes this longer than the list.
+        self._to_send: dict[str, None] = {}
 
     def on_message(self, message: Any) -> None:
         """Take one request that is meant for us."""
         kind = message.get_type()
         if kind == "PARAM_REQUEST_LIST":
-            self._to_send = list(_NAMES)
+            self._to_send.update(dict.fromkeys(_NAMES))
         elif kind == "PARAM_REQUEST_READ":
             self._read(message)
         elif kind == "PARAM_SET":
             self._set(_text(message.param_id), float(message.param_value))
 
     def _read(self, message: Any) -> None:
+        """Answer by index, or by name where the index is -1."""
         index = message.param_index
-        name = _NAMES[index] if 0 <= index < len(_NAMES) else _text(message.param_id)
-        if name in PARAMETERS:
-            self._answer(name)
+        if 0 <= index < len(_NAMES):
+            self._to_send[_NAMES[index]] = None
+        elif index == -1:
+            self._answer(_text(message.param_id))
 
     def _set(self, name: str, value: float) -> None:
         """Change a value or refuse it; either way the answer is the value in force."""
+        value = _shortest(value)
         try:
-            self.settings = change(self.settings, name, value)
-            self.events.append(("info", f"{name} set to {value:g}"))
+            changed = change(self.settings, name, value)
         except ValueError as error:
             self.events.append(("warning", f"PARAM_SET refused: {error}"))
-        if name in PARAMETERS:
-            self._answer(name)
+        else:
+            if changed != self.settings:
+                self.settings = changed
+                self.events.append(("info", f"{name} set to {value:g}"))
+        self._answer(name)
 
     def _answer(self, name: str) -> None:
-        if len(self._to_send) < _WAITING:
-            self._to_send.append(name)
+        if name in PARAMETERS:
+            self._to_send[name] = None
 
     def tick(self) -> list[Any]:
         """Return the next few answers, so that a list does not flood a slow link."""
-        names, self._to_send = self._to_send[:_PER_TICK], self._to_send[_PER_TICK:]
+        names = list(itertools.islice(self._to_send, _PER_TICK))
+        for name in names:
+            del self._to_send[name]
         return [self._value(name) for name in names]
 
     def _value(self, name: str) -> Any:
@@ -107,3 +119,8 @@ class ParameterServer:
 def _text(param_id: Any) -> str:
     raw = param_id.encode("latin-1", "replace") if isinstance(param_id, str) else bytes(param_id)
     return raw.split(b"\0")[0].decode("ascii", "replace")
+
+
+def _shortest(value: float) -> float:
+    """Return the shortest decimal that travels as this 32-bit float: 0.35, not 0.3499999."""
+    return float(str(np.float32(value)))

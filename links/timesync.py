@@ -21,13 +21,15 @@ class TimeSync:
     """Asks once a second and keeps the best of the last ten replies.
 
     `offset_ns` autopilot's clock minus ours, None before the first reply; `round_trip_ns` of
-    that reply; `jumps` how often the autopilot's clock was restarted.
+    that reply; `jumps` how often the autopilot's clock was restarted, `jump_ns` by how much it
+    jumped the last time.
     """
 
     def __init__(self) -> None:
         self.offset_ns: int | None = None
         self.round_trip_ns: int | None = None
         self.jumps = 0
+        self.jump_ns = 0
         self._asked: deque[int] = deque(maxlen=_KEPT)
         self._replies: deque[tuple[int, int]] = deque(maxlen=_KEPT)
         self._next_s = float("-inf")
@@ -57,6 +59,7 @@ class TimeSync:
     def _take(self, offset_ns: int, round_trip_ns: int) -> None:
         if self.offset_ns is not None and abs(offset_ns - self.offset_ns) > _REBOOT_NS:
             self.jumps += 1
+            self.jump_ns = offset_ns - self.offset_ns
             self._replies.clear()
         self._replies.append((round_trip_ns, offset_ns))
         self.round_trip_ns, self.offset_ns = min(self._replies)

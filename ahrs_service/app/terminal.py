@@ -135,7 +135,7 @@ def session_table(daemon: Daemon) -> Table:
     shares = [f"{share:6.1%}  {text}" for text, share in session.gates.shares().items()]
     table.add_row("time per gate state", "\n".join(shares) or "no estimate")
     rates = [
-        f"{rate.name}: asked {rate.asked_hz:g}, came {rate.measured_hz:.1f} Hz ({rate.state})"
+        f"{rate.name}: asked {rate.asked_hz:g}, came {rate.mean_hz:.1f} Hz ({rate.state})"
         for rate in daemon.component.rates()
     ]
     table.add_row("rates", "\n".join(rates))
