@@ -8,6 +8,8 @@ from ahrs_service.records import Flag, Phase, Record
 
 IMU_SILENCE_S: Final = 0.5
 """Without a sample for this long, or for three usual intervals, there is no IMU [s]."""
+LONGEST_INTERVAL_S: Final = 2.0
+"""Samples further apart than this are no stream [s]."""
 FLAG_HOLD_S: Final = 2.0
 """A fault stays in the state for this long after it was last seen [s]."""
 
@@ -49,9 +51,13 @@ class HealthMonitor:
 
     def sample(self, estimate: Record, now_s: float) -> None:
         """Note one estimate; the hot path, so only the rare flags cost."""
-        # One long gap moves the usual interval little.
-        step_s = min(now_s - self._last_sample_s, 3.0 * self._interval_s or IMU_SILENCE_S)
-        self._interval_s += 0.1 * (step_s - self._interval_s)
+        step_s = now_s - self._last_sample_s
+        if self._interval_s:
+            # One long gap moves the usual interval little.
+            step_s = min(step_s, 3.0 * self._interval_s)
+            self._interval_s += 0.1 * (step_s - self._interval_s)
+        elif step_s < LONGEST_INTERVAL_S:
+            self._interval_s = step_s
         self._last_sample_s = now_s
         self._phase = int(estimate["phase"])
         flags = int(estimate["flags"])
