@@ -1,6 +1,7 @@
 """Other vehicles, ground stations, noise and forgery on the same link."""
 
 import copy
+import math
 import random
 
 import numpy as np
@@ -152,11 +153,16 @@ def test_the_live_service_computes_the_same_and_its_recording_too(base, unedited
 def test_a_damaged_stream_is_the_same_live_and_recorded(flight):
     start_s = 20.0
     chance = random.Random(5)
+
+    def spoil(message):
+        message.xgyro, message.yacc = chance.choice([(25.0, 0.0), (math.nan, 0.0), (0.0, math.nan)])
+
     edited = (
         flight.drop(("HIGHRES_IMU",), start_s, start_s + 2.0)
         .edit(lambda frame: [frame, frame], 30.0, 32.0)
         .insert(lambda frame: [b"\x55" + chance.randbytes(20)], 35.0, 37.0)
         .shift_clock(1000.0, 40.0)
+        .change(("HIGHRES_IMU",), spoil, 45.0, 46.0)
         .edit(lambda frame: [] if chance.random() < 0.2 else [frame], 50.0, 55.0)
     )
     daemon, path = edited.through_daemon()
