@@ -39,13 +39,13 @@ class GateSettings:
     """
 
     __pydantic_config__: ClassVar = _STRICT
-    norm_m_s2: _Positive = 0.2
-    rate_rad_s: _Positive = 0.35
+    norm_m_s2: _Positive = 0.3
+    rate_rad_s: _Positive = 0.2
     angular_acceleration_rad_s2: _Positive = 2.0
     innovation_sigma: _Positive = 4.0
     accel_range_m_s2: _Positive = 156.0
     gyro_range_rad_s: _Positive = 34.9
-    smoothing_s: _NotNegative = 0.1
+    smoothing_s: _NotNegative = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,12 +62,12 @@ class FusionSettings:
     __pydantic_config__: ClassVar = _STRICT
     mode: Literal["velocity", "gated"] = "velocity"
     airframe: Literal["auto", "fixed_wing", "multirotor", "other"] = "auto"
-    gyro_noise_rad_s_rthz: _Positive = 0.004
-    gyro_bias_walk_rad_s2_rthz: _Positive = 2e-5
+    gyro_noise_rad_s_rthz: _Positive = 0.005
+    gyro_bias_walk_rad_s2_rthz: _Positive = 5e-5
     gyro_bias_sigma_rad_s: _Positive = 0.02
     gyro_rest_sigma_rad_s: _Positive = 0.02
     accel_noise_m_s2: _Positive = 0.5
-    velocity_noise_m_s_rts: _Positive = 0.5
+    velocity_noise_m_s_rts: _Positive = 0.7
     accel_scale_error: _NotNegative = 0.1
     use_airspeed: bool = True
     alignment_s: _Positive = 1.0
