@@ -48,7 +48,7 @@ def answer(
 
 def _message_id(message: Any) -> int:
     value = float(message.param1)
-    return int(value) if math.isfinite(value) else -1
+    return int(value) if value.is_integer() else -1
 
 
 def _set_interval(message: Any, settings: Settings) -> Answer:

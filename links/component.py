@@ -20,6 +20,8 @@ from links.timesync import TimeSync
 
 HEARTBEAT_S: Final = 1.0
 VEHICLE_LOST_S: Final = 5.0
+HEARTBEAT_LATE_S: Final = 2.5
+"""The link stalls: it is no time to ask for anything, nor to judge what comes."""
 ESTIMATE_STALE_S: Final = 1.0
 RESTART_TOLD_S: Final = 10.0
 """Two signs of one restart (SYSTEM_TIME, TIMESYNC) come within this time."""
@@ -210,8 +212,11 @@ class Component:
             # On a grid: counted from this tick, every beat would come a tick later.
             self._next_heartbeat_s = now_s + HEARTBEAT_S - (late_s if late_s < HEARTBEAT_S else 0.0)
             out.append(self._heartbeat())
-        if now_s - self._heard_s > VEHICLE_LOST_S:
+        silence_s = now_s - self._heard_s
+        if silence_s > VEHICLE_LOST_S:
             self._lose()
+        elif silence_s > HEARTBEAT_LATE_S:
+            self.intervals.pause()
         else:
             self._fall_back_on_imu(now_s)
             out += self.intervals.tick(now_s, *self.vehicle)

@@ -69,6 +69,7 @@ class Rate:
     patient_until_s: float = float("-inf")
     attempts: int = 0
     window_s: float = float("-inf")
+    is_low: bool = False
     count: int = 0
     heard: int = 0
     first_s: float = float("-inf")
@@ -121,12 +122,17 @@ class Intervals:
         self._asking = None
         self._window_s = float("-inf")
         self._answered = self._old_way = False
+        self.pause()
         for rate in self.rates.values():
             rate.asked_hz, rate.granted_hz, rate.measured_hz = rate.wanted_hz, None, 0.0
-            rate.window_s = float("-inf")
             rate.retry_s, rate.patience_s, rate.attempts = float("-inf"), ASK_AGAIN_S, 0
             rate.patient_until_s = float("-inf")
             rate.state = "not asked yet"
+
+    def pause(self) -> None:
+        """Measure anew: while the link stalls, no rate can be judged."""
+        for rate in self.rates.values():
+            rate.window_s, rate.is_low = float("-inf"), False
 
     def heard(self, message_id: int, now_s: float) -> None:
         """Count one message of the autopilot."""
@@ -155,20 +161,11 @@ class Intervals:
             return []
         self._asking.attempts += 1
         self._deadline_s = now_s + ANSWER_S
-        interval_us = 1e6 / self._asking.asked_hz
+        repeated, message_id = self._asking.attempts - 1, self._asking.message_id
+        numbers = (message_id, 1e6 / self._asking.asked_hz, 0, 0, 0, 0, 0)
         return [
             dialect.MAVLink_command_long_message(
-                system,
-                component,
-                _SET_INTERVAL,
-                self._asking.attempts - 1,
-                self._asking.message_id,
-                interval_us,
-                0,
-                0,
-                0,
-                0,
-                0,
+                system, component, _SET_INTERVAL, repeated, *numbers
             )
         ]
 
@@ -271,17 +268,21 @@ class Intervals:
             elapsed_s = now_s - rate.window_s
             if elapsed_s * (rate.granted_hz or rate.wanted_hz) < WINDOW_MESSAGES:
                 continue
-            rate.measured_hz = rate.count / elapsed_s
-            rate.window_s, rate.count = now_s, 0
-            self._judge(rate, now_s)
+            rate.window_s, count, rate.count = now_s, rate.count, 0
+            if elapsed_s < float("inf"):
+                rate.measured_hz = count / elapsed_s
+                self._judge(rate, now_s)
 
     def _judge(self, rate: Rate, now_s: float) -> None:
-        """Ask again for a granted rate that is gone."""
+        """Ask again for a granted rate that is gone, twice in a row: a short stall is none."""
         if rate.granted_hz is None or now_s < rate.settled_s:
             return
         if rate.measured_hz >= LOST_SHARE * rate.granted_hz:
             rate.state = "granted"
-            rate.patience_s = ASK_AGAIN_S
+            rate.patience_s, rate.is_low = ASK_AGAIN_S, False
+            return
+        was_low, rate.is_low = rate.is_low, True
+        if not was_low:
             return
         rate.state = f"granted, yet {rate.measured_hz:.1f} Hz come"
         if now_s >= rate.patient_until_s:

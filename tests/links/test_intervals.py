@@ -118,7 +118,7 @@ def test_a_stall_of_the_link_costs_no_message(converse):
     flight.run(4.0)
     flight.cut = False
     flight.run(20.0)
-    assert flight.texts("does not come") == []
+    assert flight.texts("does not come") == flight.texts("asking again") == []
     assert rates(flight)["HIGHRES_IMU"].measured_hz == pytest.approx(200.0, rel=0.02)
     assert rates(flight)["HIGHRES_IMU"].state == "granted"
 
@@ -276,6 +276,16 @@ def test_a_vehicle_lost_and_returned_is_asked_anew(converse):
         assert len(flight.asked(name, back_s)) == 1, name
         assert rate.measured_hz == pytest.approx(rate.wanted_hz, rel=0.21)
     assert rates(flight)["HIGHRES_IMU"].mean_hz == pytest.approx(200.0 * 40 / 55, rel=0.02)
+
+
+def test_what_one_bad_second_takes_is_not_asked_again(converse):
+    flight = converse()
+    flight.run(20.0)
+    flight.withhold = set(rates(flight))
+    flight.run(1.8)
+    flight.withhold = set()
+    flight.run(10.0)
+    assert flight.texts("asking again") == []
 
 
 @pytest.mark.parametrize("target", [(1, 190), (255, 190), (2, 191), (0, 191), (1, 0)])
