@@ -183,6 +183,11 @@ class Vehicle:
         async with asyncio.timeout(30.0):
             await self.up.wait()
 
+    @property
+    def state(self) -> LinkState:
+        """Whether what is sent can arrive, as a link says it."""
+        return LinkState.UP if self.link is None else self.link.state
+
     def send(self, data: bytes) -> bool:
         """Send bytes as they are; False where the queue is full."""
         if self._stream is not None:

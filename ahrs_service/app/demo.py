@@ -18,6 +18,7 @@ import dataclasses
 import importlib.util
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -35,10 +36,12 @@ from ahrs_service.app.report import error_table
 from ahrs_service.app.run import DEFAULT_VIEWER_PORT, positive, showing
 from ahrs_service.app.terminal import TerminalLog, session_table
 from ahrs_service.settings import Settings
+from ahrs_service.simulation.scenario import SCENARIOS
 
 _HOST: Final = "127.0.0.1"
 EXIT_DONE: Final = 0
 EXIT_FAILED: Final = 1
+EXIT_TERMINATED: Final = 143
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,16 +68,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Fly, then report; return the exit code."""
     console = Console()
+    if arguments.scenario not in SCENARIOS:
+        raise config_file.ConfigError(
+            f"--scenario {arguments.scenario}: choose one of {', '.join(SCENARIOS)}"
+        )
+    config_file.load(None, arguments.overrides)
     files = _files(arguments.out)
     settings = _settings(arguments.overrides, files)
     console.print("[dim]compiling kernels (some seconds on the first start)[/]")
-    flown = asyncio.run(_fly(settings, arguments, console))
+    try:
+        flown = asyncio.run(_fly(settings, arguments, console))
+    except asyncio.CancelledError:
+        return EXIT_TERMINATED
     if flown is None:
         return EXIT_FAILED
     daemon, autopilot = flown
     console.print(session_table(daemon))
     result = replay_log(files / "flight.tlog")
-    console.print(error_table(result.summary))
+    if result.summary.comparison is not None:
+        console.print(error_table(result.summary))
     return _verdict(console, daemon, autopilot, result, files)
 
 
@@ -121,6 +133,9 @@ async def _fly(
 ) -> tuple[Daemon, dict[str, Any]] | None:
     """Run service and simulator together until the flight ends."""
     log = TerminalLog(console)
+    flying = asyncio.current_task()
+    assert flying is not None
+    asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, flying.cancel)
     daemon = Daemon(settings, log)
     serving = asyncio.create_task(daemon.run())
     ready = asyncio.create_task(daemon.ready.wait())
@@ -132,18 +147,7 @@ async def _fly(
     port = settings.link.uri.rpartition(":")[2]
     try:
         with showing(daemon, console, table=True):
-            simulator = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-m", "ahrs_service.app.cli", "simulate", "--json"),
-                *("--link", f"udpout:{_HOST}:{port}", "--seconds", str(arguments.seconds)),
-                *("--scenario", arguments.scenario, "--seed", str(arguments.seed)),
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-            )
-            try:
-                out, errors = await simulator.communicate()
-            finally:
-                if simulator.returncode is None:
-                    simulator.terminate()
+            failed, out, errors = await _simulate(arguments, port)
             # What is still in the socket belongs to the flight.
             await asyncio.sleep(0.2)
     finally:
@@ -151,10 +155,28 @@ async def _fly(
         await serving
         if window is not None:
             log("info", "the viewer stays open; close its window when done")
-    if simulator.returncode:
-        log("error", f"the simulator ended with an error: {errors.decode().strip()}")
+    if failed:
+        log("error", f"the simulator ended with an error: {errors.strip()}")
         return None
-    return daemon, json.loads(out.decode().splitlines()[-1])
+    return daemon, json.loads(out.splitlines()[-1])
+
+
+async def _simulate(arguments: argparse.Namespace, port: str) -> tuple[int | None, str, str]:
+    """Fly the simulator as a process of its own; return its exit code and what it said."""
+    simulator = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "ahrs_service.app.cli", "simulate", "--json"),
+        *("--link", f"udpout:{_HOST}:{port}", "--seconds", str(arguments.seconds)),
+        *("--scenario", arguments.scenario, "--seed", str(arguments.seed)),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    try:
+        out, errors = await simulator.communicate()
+    finally:
+        if simulator.returncode is None:
+            simulator.terminate()
+            await simulator.wait()
+    return simulator.returncode, out.decode(), errors.decode()
 
 
 def _open_viewer(
@@ -190,7 +212,9 @@ def _verdict(
     table.add_column(overflow="fold")
     received = autopilot["attitudes_received"]
     table.add_row(
-        "autopilot got", ", ".join(f"{n} {name}" for name, n in received.items()) or "no attitude"
+        "autopilot got",
+        ", ".join(f"{n} {name}" for name, n in received.items())
+        or "[bold red]no attitude[/]; give it longer (--seconds)",
     )
     equal = daemon.estimator.digest.hexdigest() == result.summary.digest
     count = len(result.estimates)
