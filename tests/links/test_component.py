@@ -455,7 +455,7 @@ STEPS = st.tuples(
 )
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.lists(STEPS, min_size=1, max_size=12), st.booleans())
 def test_no_message_raises_or_takes_memory(steps, is_adopted):
     component = Component(Settings(publish=PublishSettings(50.0, 50.0, 50.0)))
