@@ -64,6 +64,8 @@ def from_json(text: bytes, origin: str) -> Settings:
         document = json.loads(text)
     except ValueError as error:
         raise ConfigError(f"{origin}: recorded settings are no JSON ({error})") from None
+    if not isinstance(document, dict):
+        raise ConfigError(f"{origin}: recorded settings are no table of sections")
     return from_document(document, origin)
 
 

@@ -76,8 +76,13 @@ def gate_shares(estimates: Rows) -> dict[str, float]:
 
 def _as_shares(time_ns: dict[tuple[int, int], int]) -> dict[str, float]:
     total = sum(time_ns.values()) or 1
-    ordered = sorted(time_ns.items(), key=lambda item: -item[1])
-    return {gate_text(*key): value / total for key, value in ordered if value}
+    named: dict[str, int] = {}
+    for key, value in time_ns.items():
+        # While it aligns, every state of the gate has the same name.
+        text = gate_text(*key)
+        named[text] = named.get(text, 0) + value
+    ordered = sorted(named.items(), key=lambda item: -item[1])
+    return {text: value / total for text, value in ordered if value}
 
 
 @dataclass(slots=True)

@@ -1,0 +1,109 @@
+"""The folder of compiled code follows every source that is compiled into it."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ahrs_service
+from ahrs_service.kernel import kernel
+
+PACKAGE = Path(ahrs_service.__file__).parent
+
+SCRIPT = """
+import sys
+from pathlib import Path
+from ahrs_service import kernel
+
+root = Path(kernel.__file__).parent
+assert str(root) == sys.argv[1], root
+names = [kernel._cache_folder().name]
+for name in sys.argv[2:]:
+    path = root.parent / name
+    before = path.read_bytes()
+    path.write_bytes(before + b"# changed\\n")
+    names.append(kernel._cache_folder().name)
+    path.write_bytes(before)
+names.append(kernel._cache_folder().name)
+print(" ".join(names))
+"""
+
+STALE = """
+from ahrs_service.fusion.{caller} import outer
+print(outer(1.0))
+"""
+
+
+@pytest.fixture
+def copy(tmp_path):
+    """A copy of the sources, and how to run a script with them."""
+    ignored = shutil.ignore_patterns("__pycache__")
+    for package in (PACKAGE, PACKAGE.parent / "links"):
+        shutil.copytree(package, tmp_path / package.name, ignore=ignored)
+    environment = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}
+    environment["PYTHONPATH"] = str(tmp_path)
+    environment["PYTHONDONTWRITEBYTECODE"] = "1"
+
+    def run(script, *arguments):
+        command = [sys.executable, "-c", script, *map(str, arguments)]
+        done = subprocess.run(
+            command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout.split()
+
+    run.root = tmp_path / "ahrs_service"
+    return run
+
+
+def test_every_kernel_source_has_its_say_and_no_other(copy):
+    compiled = [
+        "ahrs_service/fusion/gating.py",
+        "ahrs_service/rotation.py",
+        "ahrs_service/intake.py",
+        "ahrs_service/constants.py",
+        "ahrs_service/records.py",
+    ]
+    others = ["ahrs_service/app/cli.py", "ahrs_service/settings.py", "ahrs_service/health.py"]
+    first, *changed, last = copy(SCRIPT, copy.root, *compiled, *others)
+    assert first == last
+    assert len({first, *changed[: len(compiled)]}) == 1 + len(compiled)
+    assert set(changed[len(compiled) :]) == {first}
+
+
+def test_a_changed_callee_is_never_served_stale(copy):
+    head = "from ahrs_service.kernel import kernel\n"
+    callee = copy.root / "fusion" / "callee.py"
+    callee.write_text(head + "@kernel\ndef inner(x):\n    return x + 1.0\n")
+    (copy.root / "fusion" / "caller.py").write_text(
+        head + "from ahrs_service.fusion.callee import inner\n"
+        "@kernel\ndef outer(x):\n    return 10.0 * inner(x)\n"
+    )
+    script = STALE.format(caller="caller")
+    assert copy(script) == ["20.0"]
+    callee.write_text(head + "@kernel\ndef inner(x):\n    return x + 2.0\n")
+    assert copy(script) == ["30.0"]
+
+
+def test_the_code_lies_beside_the_sources_and_is_used_again(copy):
+    folder = copy.root / "__pycache__"
+    script = "from ahrs_service.rotation import normalise\nimport numpy as np\n"
+    script += "normalise(np.array([2.0, 0, 0, 0]))\n"
+    script += "print(sum(normalise.stats.cache_hits.values()))"
+    assert copy(script) == ["0"]
+    assert list(folder.glob("kernels-*/**/*.nbi"))
+    assert copy(script) == ["1"]
+
+
+def test_a_kernel_is_strict_about_floats():
+    @kernel
+    def forget(x, y):
+        return (x + y) - y
+
+    # With fast-math the compiler might return x.
+    assert forget(1.0, 1e17) == 0.0
+    assert np.isnan(forget(np.nan, 1.0))
