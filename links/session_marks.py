@@ -1,8 +1,8 @@
 """Settings and estimator state inside a .tlog, as TUNNEL messages of our own component.
 
-Every file of a recording begins with the settings in force and, after a rotation, the state; a
-change of settings is marked where it happened. A replay of any one file then starts and goes on
-as the live service did, and other readers of the file skip the messages.
+Every file of a recording begins, at its first frame, with the settings in force and, after a
+rotation, the state; a change of settings is marked where it happened. A replay of any one file then
+starts and goes on as the live service did, and other readers of the file skip the messages.
 """
 
 import struct
@@ -12,6 +12,7 @@ from enum import IntEnum
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from ahrs_service.records import Rows
 from links.mavlink_codec import dialect
@@ -64,16 +65,26 @@ def is_mark(message: Any) -> bool:
     )
 
 
+def _own(table: Rows) -> npt.NDArray[np.bool_]:
+    return np.isin(table["payload_type"], list(_KINDS))
+
+
 def read_marks(tables: Mapping[tuple[int, int, str], Rows]) -> Iterator[Mark]:
     """Yield the marks of a recording's message tables, in file order.
 
-    An incomplete one, as at the end of a cut file, is passed over. Whoever records keeps `is_mark`
-    messages of others out of the file, so what is here was written by the recording service.
+    Only a file that begins with a mark is one of ours, and only that component's marks count: its
+    recorder keeps `is_mark` messages of others out, while a ground station's recording holds
+    whatever anybody sent. An incomplete one, as at the end of a cut file, is passed over.
     """
-    rows = [table for (_, _, name), table in tables.items() if name == "TUNNEL"]
-    if not rows:
+    tunnels = {
+        key: table for key, table in tables.items() if key[2] == "TUNNEL" and _own(table).any()
+    }
+    writers = [
+        key[1] for key, table in tunnels.items() if table["frame_index"][_own(table)][0] == 0
+    ]
+    if not writers:
         return
-    table = np.concatenate(rows)
+    table = np.concatenate([table for key, table in tunnels.items() if key[1] == writers[0]])
     pending: dict[int, list[bytes]] = {}
     for row in table[np.argsort(table["frame_index"], kind="stable")]:
         kind = int(row["payload_type"])

@@ -98,7 +98,7 @@ def test_over_every_link(
     assert frames_in(path) == frames
     assert result.system == 1
     rows = served.rows
-    assert 1990 <= len(rows) <= 2000
+    assert 1500 < len(rows) <= 2000
     assert set(np.unique(rows["phase"])) == {Phase.ALIGNING, Phase.RUNNING}
     assert {Gate.OPEN, Gate.NORM, Gate.RATE, Gate.INNOVATION} <= set(np.unique(rows["gate"]))
     assert served.daemon.component.traffic.foreign > 400
@@ -188,7 +188,7 @@ def test_a_signed_session_whose_recording_is_unsigned(
     served, vehicle = asyncio.run(scenario())
     assert_replays(served, path)
     assert frames_in(path) == flight_frames
-    assert len(served.rows) >= 1990
+    assert len(served.rows) > 1500
     judge = Signer(key, 8)
     ours = [bytes(m.get_msgbuf()) for m in vehicle.heard]
     assert ours

@@ -190,8 +190,9 @@ STRICT = Settings(gate=GateSettings(rate_rad_s=0.01))
 def test_recorded_settings_hold_from_their_place_on(tmp_path):
     frames = frames_of()
     half = len(frames) // 2
+    first = marked(MarkKind.SETTINGS, config_file.to_json(Settings()), frames[0][0])
     mark = marked(MarkKind.SETTINGS, config_file.to_json(STRICT), frames[half][0])
-    path = write(tmp_path / "own.tlog", [*frames[:half], *mark, *frames[half:]])
+    path = write(tmp_path / "own.tlog", [*first, *frames[:half], *mark, *frames[half:]])
     estimator, decoder = Estimator(Settings()), Decoder()
     rows = empty(READING_DTYPE, 1)
     for n, (received_us, frame) in enumerate(frames):
@@ -205,6 +206,22 @@ def test_recorded_settings_hold_from_their_place_on(tmp_path):
     assert result.summary.digest != live_digest(frames)
     assert result.settings == STRICT
     assert result.summary.settings_origin == "those of the recording"
+
+
+def test_marks_in_a_recording_that_is_not_ours_are_passed_over(tmp_path):
+    """A ground station records what anybody sends: it must not change what a replay gives."""
+    frames = frames_of()
+    mark = marked(MarkKind.SETTINGS, config_file.to_json(STRICT), frames[1][0])
+    path = write(tmp_path / "theirs.tlog", [*frames[:1], *mark, *frames[1:]])
+    assert replay_log(path).summary.digest == live_digest(frames)
+    other = Encoder(7, 66)
+    forged = [
+        (frames[2][0], other.pack(message))
+        for message in mark_messages(MarkKind.SETTINGS, config_file.to_json(STRICT))
+    ]
+    first = marked(MarkKind.SETTINGS, config_file.to_json(Settings()), frames[0][0])
+    path = write(tmp_path / "ours.tlog", [*first, *frames[:2], *forged, *frames[2:]])
+    assert replay_log(path).summary.digest == live_digest(frames)
 
 
 def test_settings_given_win_over_the_recorded(tmp_path):

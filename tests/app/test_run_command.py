@@ -156,7 +156,7 @@ def test_a_recording_survives_a_kill(start, flight_frames, tmp_path):
     assert running.process.returncode == -signal.SIGKILL
     log = read_tlog(tlog)
     assert not any(log.damaged.values())
-    assert len(replay_log(tlog).estimates) >= 1990
+    assert len(replay_log(tlog).estimates) > 1500
     assert np.all(np.diff(log.frames["received_us"]) >= 0)
 
 
