@@ -39,7 +39,7 @@ def test_a_spike_of_the_accelerometer_moves_next_to_nothing(base, unedited):
     original = unedited(base)
     outcome = base.change(("HIGHRES_IMU",), setting(xacc=100.0), 20.0, count=1).replay()
     assert outcome.new_flags(original) == {}
-    assert outcome.turn_from(original) < 1.0
+    assert outcome.turn_from(original) < 2.0
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
@@ -55,7 +55,7 @@ def test_a_rate_that_is_no_number_moves_nothing(base, unedited, value):
     assert (held == held[0]).all()
     assert np.isfinite(outcome.estimates["ned_from_body"]).all()
     assert np.isfinite(outcome.estimates["attitude_sigma_rad"]).all()
-    assert outcome.tilt_from(original, start_s + 0.2) < 1.0
+    assert outcome.tilt_from(original, start_s + 0.2) < 2.0
     assert any("IMU values are not finite" in text for _, text in outcome.health())
 
 
