@@ -79,7 +79,8 @@ class Estimator:
                 self._samples[:count],
                 estimates,
             )
-            self.digest.update(estimates.data)
+            # The buffer of a structured array describes every field anew at each use.
+            self.digest.update(estimates.view(np.uint8).data)
         return estimates
 
     @property

@@ -63,7 +63,7 @@ class HealthMonitor:
         flags = int(estimate["flags"])
         if flags:
             for flag in _TOLD:
-                if flags & flag:
+                if flags & flag.value:
                     self._seen_s[flag] = now_s
 
     def update(self, vehicle_heard: bool, now_s: float) -> str:

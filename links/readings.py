@@ -168,7 +168,7 @@ def _writer(rule: _Rule) -> _Writer:
         time_ns = 0 if time_of is None else time_of(message) * time_unit
         header = message.get_header()
         _ROW.pack_into(
-            rows.data,
+            rows.view(np.uint8).data,
             0,
             received_ns,
             time_ns if time_ns <= _TIME_LIMIT_NS else 0,

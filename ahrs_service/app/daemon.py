@@ -169,7 +169,8 @@ class Daemon:
     def _use(self, estimates: Rows, started_s: float) -> None:
         """Publish one estimate and tell whoever looks."""
         estimate = estimates[0]
-        if estimate["phase"] == Phase.RUNNING:
+        # Comparing numpy's number with an enum costs more than the filter's step.
+        if int(estimate["phase"]) == Phase.RUNNING:
             sent = 0
             for message in self.component.publish(estimate):
                 sent += self._send(message)
