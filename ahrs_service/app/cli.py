@@ -15,6 +15,7 @@ COMMANDS: Final = {
     "demo": ("ahrs_service.app.demo", "fly a simulated aircraft and watch the service work"),
     "run": ("ahrs_service.app.run", "serve attitude on a MAVLink link"),
     "replay": ("ahrs_service.app.replay", "run recordings (.tlog, .ulg, .bin) through the service"),
+    "estimate": ("ahrs_service.app.estimate", "attitude of plain arrays (.npz in, .npz out)"),
     "play": ("ahrs_service.app.play", "play a recording over a link in real time"),
     "simulate": ("ahrs_service.app.simulate", "fly the simulated autopilot over a link"),
 }

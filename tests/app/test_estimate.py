@@ -1,0 +1,310 @@
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ahrs_service import pipeline
+from ahrs_service.app import estimate
+from ahrs_service.app.cli import main
+from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, ImuSource, empty
+from ahrs_service.rotation import euler_columns, inverse_columns, multiply_columns
+from ahrs_service.sensor.parameters import Calibration, coefficients
+from ahrs_service.settings import Settings
+from ahrs_service.simulation.scenario import make_flight
+
+FLIP = np.array([1.0, -1.0, -1.0])
+
+
+@pytest.fixture(scope="module")
+def flight():
+    """A minute of the simulated flight as the fields of IN, forward-right-down, and its truth."""
+    rows = make_flight("flight", 60.0, seed=1, rate_hz=100.0).rows
+    fields = {
+        "imu_gyr": rows["gyro_rad_s"],
+        "imu_acc": rows["accel_m_s2"],
+        "imu_mag": rows["mag_ut"].astype(np.float64),
+        "airspeed": rows["airspeed_m_s"].astype(np.float64),
+        "vel_ned": rows["velocity_ned_m_s"].astype(np.float64),
+        "sampling_rate": 100.0,
+    }
+    return fields, rows
+
+
+@pytest.fixture
+def run(tmp_path, capsys):
+    """Run the command on fields; return the fields of OUT."""
+
+    def _run(fields, *options):
+        source, out = tmp_path / "in.npz", tmp_path / "out.npz"
+        np.savez(source, **fields)
+        assert main(["estimate", "--in", str(source), "--out", str(out), *options]) == 0
+        with np.load(out) as file:
+            return {name: file[name] for name in file.files}
+
+    return _run
+
+
+def only(fields, *names):
+    return {name: fields[name] for name in ("imu_gyr", "imu_acc", "sampling_rate", *names)}
+
+
+def angle_deg(p, q):
+    error = multiply_columns(p, inverse_columns(q))
+    return np.degrees(2.0 * np.arctan2(np.linalg.norm(error[:, 1:], axis=1), np.abs(error[:, 0])))
+
+
+def in_flu(fields):
+    return {
+        name: value * FLIP if name in ("imu_gyr", "imu_acc", "imu_mag") else value
+        for name, value in fields.items()
+    }
+
+
+def test_every_sample_gets_an_attitude_a_sigma_and_a_gate(flight, run):
+    fields, rows = flight
+    out = run(fields, "--profile", "fixed_wing")
+    assert {name: array.shape for name, array in out.items()} == {
+        "quat": (len(rows), 4),
+        "quat9": (len(rows), 4),
+        "sigma_deg": (len(rows), 3),
+        "gate": (len(rows),),
+    }
+    for name in ("quat", "quat9"):
+        np.testing.assert_allclose(np.linalg.norm(out[name], axis=1), 1.0, atol=1e-12)
+    assert np.isfinite(out["sigma_deg"]).all()
+    assert (out["sigma_deg"] > 0.0).all()
+    assert 0 < np.count_nonzero(out["gate"]) < len(rows)
+    truth = euler_columns(rows["ned_from_body"])
+    error = np.degrees(np.abs(euler_columns(out["quat"]) - truth)[:, :2])
+    assert error[100:].max() < 12.0
+    assert angle_deg(out["quat9"], rows["ned_from_body"])[100:].mean() < 12.0
+
+
+def test_the_answer_is_the_pipelines_to_the_last_bit(flight, run, monkeypatch):
+    fields, rows = flight
+    samples = empty(SAMPLE_DTYPE, len(rows))
+    samples["time_ns"] = samples["received_ns"] = np.arange(len(rows)) * 10_000_000
+    samples["gyro_rad_s"], samples["accel_m_s2"] = fields["imu_gyr"], fields["imu_acc"]
+    samples["source"] = ImuSource.HIGHRES_IMU
+    expected = empty(ESTIMATE_DTYPE, len(rows))
+    pipeline.batch(
+        pipeline.parameters(Settings()),
+        coefficients(Calibration.ideal()),
+        pipeline.new_state(),
+        samples,
+        expected,
+    )
+    # Several pieces, the last of them short.
+    monkeypatch.setattr(estimate, "_CHUNK", 1000)
+    out = run(only(fields))
+    assert out["quat"].tobytes() == expected["ned_from_body"].tobytes()
+    assert out["gate"].tobytes() == expected["gate"].tobytes()
+    assert "quat9" not in out
+
+
+def test_both_frames_are_one_attitude(flight, run):
+    fields, rows = flight
+    frd, flu = run(fields), run(in_flu(fields), "--frame", "flu")
+    np.testing.assert_allclose(flu["quat"], frd["quat"] * [1, 1, -1, -1], atol=1e-12)
+    # East-north-up from forward-left-up, of the truth: forward is east by sin(yaw).
+    yaw, pitch = euler_columns(rows["ned_from_body"])[:, [2, 1]].T
+    w, x, y, z = frd["quat9"].T
+    forward_ned = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
+    w, x, y, z = flu["quat9"].T
+    forward_enu = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
+    np.testing.assert_allclose(forward_enu, forward_ned[[1, 0, 2]] * [[1], [1], [-1]], atol=1e-12)
+    settled = slice(100, None)
+    east = (np.sin(yaw) * np.cos(pitch))[settled]
+    assert np.abs(forward_enu[0][settled] - east).mean() < 0.2
+    assert flu["gate"].tobytes() == frd["gate"].tobytes()
+
+
+def test_six_axes_start_with_heading_zero_whatever_the_field(flight, run):
+    fields, _ = flight
+    out = run(fields)
+    assert abs(euler_columns(out["quat"])[0, 2]) < 1e-12
+    assert out["quat"].tobytes() == run(only(fields, "airspeed", "vel_ned"))["quat"].tobytes()
+    flu = run(in_flu(only(fields)), "--frame", "flu")
+    assert abs(euler_columns(flu["quat"])[0, 2]) < 1e-12
+
+
+def test_float32_is_taken_as_the_numbers_it_holds(flight, run):
+    fields, _ = flight
+    narrow = {name: np.asarray(value, np.float32) for name, value in fields.items()}
+    widened = {name: value.astype(np.float64) for name, value in narrow.items()}
+    left, right = run(narrow), run(widened)
+    assert left["quat"].tobytes() == right["quat"].tobytes()
+    assert left["quat9"].tobytes() == right["quat9"].tobytes()
+
+
+def test_irregular_times_are_honoured(run):
+    random = np.random.default_rng(3)
+    t = 100.0 + np.cumsum(random.uniform(0.002, 0.03, 1500))
+    count = len(t)
+    fields = {
+        "imu_gyr": np.tile([0.0, 0.0, 1.0], (count, 1)),
+        "imu_acc": np.tile([0.0, 0.0, -9.80665], (count, 1)),
+        "t": t,
+    }
+    yaw = np.unwrap(euler_columns(run(fields)["quat"])[:, 2])
+    np.testing.assert_allclose(yaw, t - t[0], atol=0.02)
+    # The times hold where a rate is given too.
+    again = np.unwrap(euler_columns(run(fields | {"sampling_rate": 10.0})["quat"])[:, 2])
+    np.testing.assert_array_equal(again, yaw)
+
+
+@pytest.mark.parametrize("field", ["imu_gyr", "imu_acc", "imu_mag", "airspeed", "vel_ned", "t"])
+def test_rows_without_numbers_survive(flight, run, field):
+    fields, rows = flight
+    fields = {name: np.array(value) for name, value in fields.items()}
+    fields["t"] = np.arange(len(rows)) / 100.0
+    for part in (slice(0, 7), slice(2000, 2020), slice(4000, 4001), slice(-3, None)):
+        fields[field][part] = np.nan
+    fields[field][3000:3003] = np.inf
+    out = run(fields, "--profile", "fixed_wing")
+    assert np.isfinite(out["quat"]).all()
+    assert np.isfinite(out["quat9"]).all()
+    truth = euler_columns(rows["ned_from_body"])
+    error = np.degrees(np.abs(euler_columns(out["quat"]) - truth)[:, :2])
+    assert error[200:].max() < 12.0
+
+
+@pytest.mark.parametrize(
+    ("profile", "airframe"),
+    [("fixed_wing", "fixed_wing"), ("multirotor", "multirotor"), ("hand_held", "other")],
+)
+def test_a_profile_is_the_class_of_airframe(flight, run, profile, airframe):
+    fields, _ = flight
+    named = run(only(fields), "--profile", profile)["quat"]
+    assert (
+        named.tobytes()
+        == run(only(fields), "--set", f"fusion.airframe={airframe}")["quat"].tobytes()
+    )
+    others = [one for one in ("fixed_wing", "multirotor", "other") if one != airframe]
+    assert all(
+        named.tobytes() != run(only(fields), "--profile", one)["quat"].tobytes() for one in others
+    )
+
+
+def test_airspeed_is_used(flight, run):
+    fields, _ = flight
+    with_it = run(only(fields, "airspeed"), "--profile", "fixed_wing")["quat"]
+    assert with_it.tobytes() != run(only(fields), "--profile", "fixed_wing")["quat"].tobytes()
+
+
+def test_a_magnetometer_switched_off_gives_no_second_attitude(flight, run):
+    assert "quat9" not in run(flight[0], "--set", "fusion.magnetometer=false")
+
+
+ROWS = np.zeros((5, 3))
+GOOD = {"imu_gyr": ROWS, "imu_acc": ROWS, "sampling_rate": 100.0}
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"imu_acc": ROWS, "sampling_rate": 100.0}, ["imu_gyr", "missing", "rad/s"]),
+        ({"imu_gyr": ROWS, "sampling_rate": 100.0}, ["imu_acc", "missing", "m/s^2"]),
+        ({"imu_gyr": ROWS, "imu_acc": ROWS}, ["sampling_rate", "t [N]"]),
+        (GOOD | {"imu_gyr": ROWS.T}, ["imu_gyr", "(3, 5)", "[N, 3]"]),
+        (GOOD | {"imu_acc": ROWS[:4]}, ["imu_acc", "(4, 3)", "N = 5"]),
+        (GOOD | {"imu_mag": ROWS[:, :2]}, ["imu_mag", "(5, 2)", "uT"]),
+        (GOOD | {"airspeed": ROWS}, ["airspeed", "(5, 3)", "[N]"]),
+        (GOOD | {"vel_ned": ROWS[:1]}, ["vel_ned", "(1, 3)"]),
+        (GOOD | {"imu_gyr": np.full((5, 3), "a")}, ["imu_gyr", "real numbers"]),
+        (GOOD | {"imu_gyr": ROWS.astype(complex)}, ["imu_gyr", "complex128"]),
+        (GOOD | {"imu_gyr": np.array(1.0)}, ["imu_gyr", "()"]),
+        (GOOD | {"imu_gyr": ROWS[:0], "imu_acc": ROWS[:0]}, ["no sample"]),
+        (GOOD | {"sampling_rate": 0.0}, ["sampling_rate = 0.0", "above 0"]),
+        (GOOD | {"sampling_rate": np.nan}, ["sampling_rate = nan"]),
+        (GOOD | {"sampling_rate": [1.0, 2.0]}, ["sampling_rate", "one number"]),
+        (GOOD | {"t": np.full(5, np.nan)}, ["t holds no finite time"]),
+        (GOOD | {"t": np.arange(5) * 1e12}, ["t spans", "seconds"]),
+        (GOOD | {"imu_gyr": np.array([None] * 5)}, ["no whole .npz"]),
+    ],
+)
+def test_what_cannot_be_used_is_named(tmp_path, capsys, fields, said):
+    source = tmp_path / "in.npz"
+    np.savez(source, **fields)
+    assert main(["estimate", "--in", str(source), "--out", str(tmp_path / "out.npz")]) == 1
+    message = capsys.readouterr().err
+    assert "error:" in message
+    for words in [str(source), *said]:
+        assert words in message
+    assert not (tmp_path / "out.npz").exists()
+
+
+def test_other_files_and_places_are_refused(tmp_path, capsys):
+    source, single = tmp_path / "in.npz", tmp_path / "single.npy"
+    np.savez(source, **GOOD)
+    np.save(single, ROWS)
+    cases = [
+        (tmp_path / "none.npz", tmp_path / "out.npz", "No such file"),
+        (tmp_path, tmp_path / "out.npz", "directory"),
+        (single, tmp_path / "out.npz", "array without a name"),
+        (source, tmp_path / "no" / "out.npz", "cannot be written"),
+        (source, source, "input itself"),
+    ]
+    for place, out, said in cases:
+        assert main(["estimate", "--in", str(place), "--out", str(out)]) == 1
+        assert said in capsys.readouterr().err
+    with np.load(source) as file:
+        assert set(file.files) == set(GOOD)
+
+
+@given(st.data())
+def test_a_damaged_file_is_refused_or_read(tmp_path_factory, data):
+    source = tmp_path_factory.mktemp("damaged") / "in.npz"
+    np.savez_compressed(source, **GOOD)
+    content = bytearray(source.read_bytes())
+    for place in data.draw(st.lists(st.integers(0, len(content) - 1), max_size=4)):
+        content[place] ^= data.draw(st.integers(1, 255))
+    source.write_bytes(content[: data.draw(st.integers(0, len(content)))])
+    assert main(["estimate", "--in", str(source), "--out", str(source.with_name("o"))]) in (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--set", "fusion.mode=best"], "fusion.mode"),
+        (["--set", "fusion"], "section.key=value"),
+        (["--config", "none.toml"], "none.toml"),
+    ],
+)
+def test_wrong_settings_are_wrong_usage(tmp_path, capsys, options, said):
+    source = tmp_path / "in.npz"
+    np.savez(source, **GOOD)
+    words = ["estimate", "--in", str(source), "--out", str(tmp_path / "out.npz")]
+    assert main([*words, *options]) == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("options", [["--profile", "bird"], ["--frame", "ned"], ["--offline"]])
+def test_unknown_options_are_wrong_usage(tmp_path, capsys, options):
+    with pytest.raises(SystemExit) as exit_:
+        main(["estimate", "--in", "a.npz", "--out", str(tmp_path / "o.npz"), *options])
+    assert exit_.value.code == 2
+
+
+def test_broad_through_a_process_of_its_own(shared, tmp_path):
+    source = shared / "broad" / "01_undisturbed_slow_rotation_A.npz"
+    if not source.is_file():
+        pytest.skip(f"no {source.name} in ../shared/data/broad")
+    out = tmp_path / "out.npz"
+    command = [sys.executable, "-m", "ahrs_service.app.cli", "estimate", "--frame", "flu"]
+    words = ["--in", str(source), "--out", str(out), "--profile", "hand_held"]
+    done = subprocess.run([*command, *words], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    with np.load(source) as given_, np.load(out) as found:
+        reference = given_["opt_quat"].astype(np.float64)
+        scored = given_["movement"] & np.isfinite(reference).all(axis=1)
+        reference = reference[scored]
+        reference /= np.linalg.norm(reference, axis=1, keepdims=True)
+        six = multiply_columns(found["quat"][scored], inverse_columns(reference))
+        total = angle_deg(found["quat9"][scored], reference)
+    tilt = np.degrees(2.0 * np.arccos(np.minimum(np.hypot(six[:, 0], six[:, 3]), 1.0)))
+    assert np.sqrt(np.mean(tilt**2)) < 4.0
+    assert np.sqrt(np.mean(total**2)) < 9.0
