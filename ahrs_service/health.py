@@ -61,6 +61,9 @@ class HealthMonitor:
         self._last_sample_s = now_s
         self._phase = int(estimate["phase"])
         flags = int(estimate["flags"])
+        if self._phase != Phase.RUNNING:
+            # Before the first attitude the best message is still being found.
+            flags &= ~Flag.SOURCE_CHANGED.value
         if flags:
             for flag in _TOLD:
                 if flags & flag.value:
