@@ -139,8 +139,8 @@ def _rising_time_s(time_ns: Any, used: Any) -> Any:
     return t
 
 
-def _figures(one: Comparison) -> dict[str, float]:
-    return {
+def _figures(one: Comparison) -> dict[str, float | None]:
+    figures = {
         "roll": float(np.degrees(one.roll.rms)),
         "pitch": float(np.degrees(one.pitch.rms)),
         "tilt": float(np.degrees(one.tilt.rms)),
@@ -150,9 +150,10 @@ def _figures(one: Comparison) -> dict[str, float]:
         "compared": one.compared,
         "steep": one.steep,
     }
+    return {name: value if np.isfinite(value) else None for name, value in figures.items()}
 
 
-def measure(flight: Flight, names: list[str]) -> dict[str, dict[str, float]]:
+def measure(flight: Flight, names: list[str]) -> dict[str, dict[str, float | None]]:
     """Errors [deg] of each algorithm on one flight."""
     reference = flight.reference
     return {
@@ -165,24 +166,20 @@ def table(title: str, results: dict[str, Any], names: list[str], prefix: str) ->
     """Roll and pitch of every algorithm by flight, with ours as a share of the best peer's."""
     out = Table(title=title, title_justify="left", padding=(0, 1), show_edge=False)
     out.add_column("RMS roll, pitch [deg]")
-    peers = [name for name in names if name not in OURS]
-    for name in names:
-        out.add_column(name, justify="right", overflow="fold")
-    if peers:
-        out.add_column("best peer", justify="right")
-        out.add_column("ours / best", justify="right")
-        out.add_column("gated / best", justify="right")
+    for name in [*names, "best peer", "ours / best", "gated / best"]:
+        out.add_column(name, justify="right")
     for flight, result in results.items():
         errors = result["errors"]
         pairs = {
             name: (errors[name][f"{prefix}roll"], errors[name][f"{prefix}pitch"]) for name in names
         }
-        cells = [f"{roll:.2f} {pitch:.2f}" for roll, pitch in pairs.values()]
-        if peers:
-            best = min(peers, key=lambda name: sum(pairs[name]))
-            cells.append(best)
-            cells += [f"{sum(pairs[name]) / sum(pairs[best]):.2f}" for name in OURS[:2]]
-        out.add_row(flight, *cells)
+        if None in pairs["ours"]:
+            out.add_row(flight, *["-"] * len(out.columns[1:]))
+            continue
+        best = min((name for name in names if name not in OURS), key=lambda name: sum(pairs[name]))
+        shares = [f"{sum(pairs[name]) / sum(pairs[best]):.2f}" for name in OURS[:2]]
+        figures = [f"{roll:.2f} {pitch:.2f}" for roll, pitch in pairs.values()]
+        out.add_row(flight, *figures, best, *shares)
     return out
 
 
