@@ -15,13 +15,14 @@ FLAG_HOLD_S: Final = 2.0
 
 _TOLD: Final = {
     Flag.GAP: "gap in the IMU data",
-    Flag.CLOCK_JUMP: "the autopilot's clock jumped; aligning anew",
+    Flag.CLOCK_JUMP: "the autopilot's clock jumped",
+    Flag.REALIGNED: "aligning anew",
     Flag.ACCEL_MISSING: "accelerometer values are missing",
     Flag.NOT_FINITE: "IMU values are not finite",
     Flag.SATURATED: "IMU out of its range",
     Flag.SPIKE: "gyro spike held back",
     Flag.SOURCE_CHANGED: "IMU message changed",
-    Flag.IMU_CHANGED: "another IMU is in use; aligning anew",
+    Flag.IMU_CHANGED: "another IMU is in use",
     Flag.TEMPERATURE_STALE: "IMU temperature stale or frozen",
     Flag.TEMPERATURE_OUT_OF_RANGE: "IMU temperature outside the calibrated range",
     Flag.LOW_RATE: "IMU below 20 Hz: turns between samples are lost",

@@ -34,7 +34,6 @@ _RUNNING = int(Phase.RUNNING)
 _STALE = int(Gate.STALE)
 _SATURATION = int(Gate.SATURATION)
 _GAP = int(Flag.GAP)
-_CLOCK_JUMP = int(Flag.CLOCK_JUMP)
 _NOT_FINITE = int(Flag.NOT_FINITE)
 _ACCEL_MISSING = int(Flag.ACCEL_MISSING)
 _SPIKE = int(Flag.SPIKE)
@@ -47,6 +46,8 @@ REALIGN_GAP_S: Final = 5.0
 """After a gap longer than this the attitude before it says little: align anew [s]."""
 ACCEL_CORRELATION_S: Final = 1.0
 """Manoeuvre accelerations last about this long: closer samples are not independent [s]."""
+LONGEST_AVERAGE_S: Final = 0.5
+"""However long a gap was, the sample after it is one sample [s]."""
 DOUBT_RAD_RTS: Final = 0.05
 """How fast the tilt variance grows while only the innovation speaks against it [rad/sqrt(s)]."""
 SPIKE_RATE_RAD_S: Final = 10.0
@@ -222,7 +223,7 @@ def _turn(settings: Record, state: Record, airframe: int, flags: int) -> None:
         variance = _gravity_variance(settings)
         if aligning:
             variance += (state["gate_metrics"][0] / STANDARD_GRAVITY_M_S2) ** 2
-        variance *= max(1.0, ACCEL_CORRELATION_S / dt_s)
+        variance *= ACCEL_CORRELATION_S / min(dt_s, LONGEST_AVERAGE_S)
         for axis in range(2):
             measured = state["tilt_innovation_rad"][axis]
             mekf.correct_state(state["covariance"], correction, axis, measured, variance)
@@ -284,7 +285,7 @@ def _realign_if_lost(
 ) -> int:
     """Start to align at the first sample, and anew when the attitude was lost."""
     long_gap = flags & _GAP != 0 and dt_s > REALIGN_GAP_S
-    lost = long_gap or flags & (_CLOCK_JUMP | _IMU_CHANGED) != 0
+    lost = long_gap or flags & _IMU_CHANGED != 0
     if state["phase"] != 0 and not lost:
         return flags
     if lost:
@@ -321,7 +322,9 @@ def _step(settings: Record, coefficients: Rows, state: Record, sample: Record, o
     found = _check_sensors(settings, state, sample, gyro, accel)
     flags |= found
     if not found & (_NOT_FINITE | _SPIKE):
-        dt_s, timing = timebase.advance(state, sample["time_ns"], settings["gap_s"])
+        dt_s, timing = timebase.advance(
+            state, sample["time_ns"], sample["received_ns"], settings["gap_s"]
+        )
         flags |= timing
         if not timing & timebase.NOT_INTEGRATED:
             flags = _realign_if_lost(settings, state, sample, dt_s, flags)

@@ -26,7 +26,8 @@ REST_VELOCITY_SIGMA_M_S: Final = 0.1
 REST_VELOCITY_CORRELATION_S: Final = 0.1
 REST_RATE_CORRELATION_S: Final = 0.2
 REST_BIAS_GATE: Final = 3.0
-REST_BIAS_FLOOR_RAD_S: Final = 0.003
+REST_BIAS_FLOOR_RAD_S: Final = 0.01
+"""A bias may step by this between power-on and flight and is still learnt [rad/s]."""
 AIRSPEED_SIGMA_M_S: Final = 2.0
 """Position error of a pitot tube, scale included, on a small UAV [m/s]."""
 AIRSPEED_CORRELATION_S: Final = 1.0

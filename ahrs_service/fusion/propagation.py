@@ -26,7 +26,7 @@ PROPAGATION_FIELDS: Final = [
 """Fields of the pipeline's state that this module keeps."""
 
 TURN_S: Final = 0.02
-GAP_RATE_SIGMA_RAD_S: Final = 0.5
+GAP_RATE_SIGMA_RAD_S: Final = 1.0
 """What a small UAV may have turned, per second that no sample came [rad/s]."""
 GAP_FORCE_SIGMA_M_S2: Final = 3.0
 """And how it may have accelerated [m/s^2]."""

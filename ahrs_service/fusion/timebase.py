@@ -10,6 +10,7 @@ from ahrs_service.records import Flag, Record
 
 TIME_FIELDS: Final = [
     ("time_ns", "i8"),
+    ("received_ns", "i8"),
     ("late_time_ns", "i8"),
     ("late_samples", "i8"),
     ("interval_s", "f8"),
@@ -37,6 +38,8 @@ FORWARD_LIMIT_S: Final = 60.0
 """A stamp further ahead than this is a clock that jumped [s]."""
 LOW_RATE_INTERVAL_S: Final = 0.05
 """Slower than 20 Hz the turn between two samples is not known [s]."""
+UNKNOWN_GAP_S: Final = 60.0
+"""Stands for a gap whose length nothing tells [s]."""
 _INTERVAL_WEIGHT = 0.05
 _GAP_INTERVALS = 5.0
 
@@ -65,19 +68,30 @@ def _step_back(state: Record, time_ns: int) -> int:
     if back_s < LATE_LIMIT_S and state["late_samples"] <= LATE_SAMPLES:
         state["reordered"] += 1
         return _REORDERED
-    state["clock_jumps"] += 1
     state["late_samples"] = 0
-    state["time_ns"] = time_ns
     return _CLOCK_JUMP
 
 
 @kernel
-def advance(state: Record, time_ns: int, gap_s: float) -> tuple[float, int]:
+def _jump(state: Record, time_ns: int, receipt_s: float, gap_s: float) -> tuple[float, int]:
+    """Follow a clock that jumped: the receipts tell whether samples were missed meanwhile."""
+    state["clock_jumps"] += 1
+    state["time_ns"] = time_ns
+    if 0.0 <= receipt_s < gap_s:
+        return float(state["interval_s"]), _CLOCK_JUMP
+    state["gaps"] += 1
+    return (receipt_s if receipt_s > 0.0 else UNKNOWN_GAP_S), _CLOCK_JUMP | _GAP
+
+
+@kernel
+def advance(state: Record, time_ns: int, received_ns: int, gap_s: float) -> tuple[float, int]:
     """Take the stamp of a sample; return the step [s] and what was found (records.Flag).
 
-    The step is 0 for the first sample and for one that moves nothing; after a clock jump it is
-    the usual interval.
+    The step is 0 for the first sample and for one that moves nothing; over a clock jump it is
+    the usual interval if the samples kept coming, else the time between their receipts.
     """
+    receipt_s = (received_ns - state["received_ns"]) * 1e-9
+    state["received_ns"] = received_ns
     state["samples"] += 1
     if state["samples"] == 1:
         state["time_ns"] = time_ns
@@ -87,13 +101,13 @@ def advance(state: Record, time_ns: int, gap_s: float) -> tuple[float, int]:
         state["duplicates"] += 1
         return 0.0, _DUPLICATE
     if dt_s < 0.0:
-        found = _step_back(state, time_ns)
-        return (0.0 if found == _REORDERED else float(state["interval_s"])), found
-    state["time_ns"] = time_ns
+        if _step_back(state, time_ns) == _REORDERED:
+            return 0.0, _REORDERED
+        return _jump(state, time_ns, receipt_s, gap_s)
     state["late_samples"] = 0
-    if dt_s > FORWARD_LIMIT_S:
-        state["clock_jumps"] += 1
-        return float(state["interval_s"]), _CLOCK_JUMP
+    if dt_s > FORWARD_LIMIT_S and receipt_s < FORWARD_LIMIT_S:
+        return _jump(state, time_ns, receipt_s, gap_s)
+    state["time_ns"] = time_ns
     usual_s = state["interval_s"]
     flags = _LOW_RATE if usual_s > LOW_RATE_INTERVAL_S else 0
     if usual_s > 0.0 and dt_s > max(gap_s, _GAP_INTERVALS * usual_s):
