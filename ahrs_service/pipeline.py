@@ -6,6 +6,7 @@ samples give the same bytes. Three structs: parameters (from settings), coeffici
 calibration) and state, which can be saved and restored by its bytes at any sample.
 """
 
+import dataclasses
 import math
 from typing import Final
 
@@ -58,6 +59,8 @@ PARAMETERS_DTYPE: Final = np.dtype(
         ("forward_speed_m_s", "f8", len(Airframe)),
         ("velocity_sigma_m_s", "f8", (len(Airframe), 3)),
         ("velocity_correlation_s", "f8", (len(Airframe), 3)),
+        ("velocity_noise_m_s_rts", "f8", len(Airframe)),
+        ("accel_scale_error", "f8", len(Airframe)),
         ("gate_norm_m_s2", "f8"),
         ("gate_rate_rad_s", "f8"),
         ("gate_angular_acceleration_rad_s2", "f8"),
@@ -69,12 +72,12 @@ PARAMETERS_DTYPE: Final = np.dtype(
         ("gyro_bias_walk_rad_s2_rthz", "f8"),
         ("gyro_bias_sigma_rad_s", "f8"),
         ("gyro_rest_sigma_rad_s", "f8"),
+        ("gyro_scale_error_rts", "f8"),
         ("accel_noise_m_s2", "f8"),
-        ("velocity_noise_m_s_rts", "f8"),
-        ("accel_scale_error", "f8"),
         ("alignment_s", "f8"),
         ("gap_s", "f8"),
         ("declination_rad", "f8"),
+        ("gyro_share", "f8"),
         ("use_magnetometer", "i8"),
         ("use_airspeed", "i8"),
         ("use_velocity", "i8"),
@@ -128,13 +131,14 @@ def parameters(settings: Settings) -> Rows:
     airframes = {
         Airframe.FIXED_WING: settings.fixed_wing,
         Airframe.MULTIROTOR: settings.multirotor,
+        Airframe.HAND_HELD: settings.hand_held,
         Airframe.OTHER: settings.other,
     }
     for number, airframe in airframes.items():
-        row["forward_speed_m_s"][0, number] = airframe.forward_speed_m_s
-        row["velocity_sigma_m_s"][0, number] = airframe.velocity_sigma_m_s
-        row["velocity_correlation_s"][0, number] = airframe.velocity_correlation_s
+        for field in dataclasses.fields(airframe):
+            row[field.name][0, number] = getattr(airframe, field.name)
     row["declination_rad"] = math.radians(fusion.declination_deg)
+    row["gyro_share"] = {"instant": 0.5, "mean": 1.0}[fusion.gyro_sample]
     row["use_magnetometer"] = fusion.magnetometer
     row["use_velocity"] = fusion.mode == "velocity"
     row["airframe"] = -1 if fusion.airframe == "auto" else Airframe[fusion.airframe.upper()]
@@ -352,11 +356,12 @@ def _move(
         return
     if dt_s <= 0.0:
         return
-    propagation.move(settings, state, gyro, accel, dt_s, flags)
+    airframe = _airframe(settings, sample)
+    propagation.move(settings, state, airframe, gyro, accel, dt_s, flags)
     if flags & _ACCEL_MISSING == 0:
         rest.follow(state, gyro, accel, dt_s, settings["gyro_rest_sigma_rad_s"])
     if state["turn_s"] >= propagation.TURN_S or flags & _JUDGED_AT_ONCE != 0:
-        _turn(settings, state, _airframe(settings, sample), flags)
+        _turn(settings, state, airframe, flags)
     heading.correct(settings, state, sample["mag_ut"], dt_s)
     if state["phase"] == _ALIGNING and alignment.gather(
         state, gyro, accel, settings["alignment_s"]

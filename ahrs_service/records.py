@@ -49,11 +49,12 @@ class ImuSource(IntEnum):
 
 
 class Airframe(IntEnum):
-    """The class of vehicle, by HEARTBEAT.type: it says how the vehicle can move."""
+    """The class of vehicle: how it can move. By HEARTBEAT.type; HAND_HELD only by settings."""
 
     OTHER = 0
     FIXED_WING = 1
     MULTIROTOR = 2
+    HAND_HELD = 3
 
 
 class Gate(IntFlag):

@@ -54,21 +54,21 @@ class FusionSettings:
 
     `mode` "velocity" also estimates the velocity, which the class of airframe bounds, so that
     accelerations average out; "gated" believes the accelerometer only while the gates are open.
-    `airframe` "auto" goes by HEARTBEAT.type. `velocity_noise_m_s_rts` is what the accelerometer's
-    noise adds to the velocity [m/s per sqrt(s)], `accel_scale_error` as a share of the force
-    beyond 1 g.
+    `airframe` "auto" goes by HEARTBEAT.type. `gyro_sample` says whether a sample is the rate of one
+    instant or the mean since the sample before. `gyro_scale_error_rts` is what an error of the
+    gyro's matrix adds to the angle, per rad/s of rate [sqrt(s)].
     """
 
     __pydantic_config__: ClassVar = _STRICT
     mode: Literal["velocity", "gated"] = "velocity"
-    airframe: Literal["auto", "fixed_wing", "multirotor", "other"] = "auto"
+    airframe: Literal["auto", "fixed_wing", "multirotor", "hand_held", "other"] = "auto"
+    gyro_sample: Literal["mean", "instant"] = "instant"
     gyro_noise_rad_s_rthz: _Positive = 0.005
     gyro_bias_walk_rad_s2_rthz: _Positive = 5e-5
     gyro_bias_sigma_rad_s: _Positive = 0.02
+    gyro_scale_error_rts: _NotNegative = 0.005
     gyro_rest_sigma_rad_s: _Positive = 0.02
     accel_noise_m_s2: _Positive = 0.5
-    velocity_noise_m_s_rts: _Positive = 0.7
-    accel_scale_error: _NotNegative = 0.1
     use_airspeed: bool = True
     alignment_s: _Positive = 1.0
     gap_s: _Positive = 0.5
@@ -81,21 +81,27 @@ class AirframeSettings:
     """How a class of vehicle can move: its velocity through the air, along body x, y, z.
 
     `forward_speed_m_s` the usual speed along x [m/s]; per axis the 1-sigma about it (about 0 for y
-    and z) [m/s], and how long a deviation lasts [s].
+    and z) [m/s], and how long a deviation lasts [s]. `velocity_noise_m_s_rts` is what noise and
+    vibration of the accelerometer add to the velocity [m/s per sqrt(s)], `accel_scale_error` what
+    its scale does, as a share of the force beyond 1 g.
     """
 
     __pydantic_config__: ClassVar = _STRICT
     forward_speed_m_s: _NotNegative
     velocity_sigma_m_s: tuple[_Positive, _Positive, _Positive]
     velocity_correlation_s: tuple[_Positive, _Positive, _Positive]
+    velocity_noise_m_s_rts: _Positive = 0.7
+    accel_scale_error: _NotNegative = 0.1
 
 
 FIXED_WING = AirframeSettings(10.0, (10.0, 1.5, 1.5), (60.0, 2.0, 2.0))
 """Small fixed wings fly at 8 to 25 m/s, with the nose in the flow to about 5 deg."""
 MULTIROTOR = AirframeSettings(0.0, (3.0, 3.0, 1.5), (5.0, 5.0, 5.0))
 """Hover and slow flight; leaning into the wind the air speed is along x and y."""
+HAND_HELD = AirframeSettings(0.0, (1.0, 1.0, 1.0), (0.5, 0.5, 0.5), 0.3, 0.02)
+"""A hand moves to and fro within an arm's length, at 1 to 2 m/s, and shakes little."""
 OTHER = AirframeSettings(0.0, (8.0, 8.0, 3.0), (10.0, 10.0, 10.0))
-"""Anything small: rovers, boats, hand-held."""
+"""Anything small: rovers, boats."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,6 +164,7 @@ class Settings:
     fusion: FusionSettings = field(default_factory=FusionSettings)
     fixed_wing: AirframeSettings = FIXED_WING
     multirotor: AirframeSettings = MULTIROTOR
+    hand_held: AirframeSettings = HAND_HELD
     other: AirframeSettings = OTHER
     link: LinkSettings = field(default_factory=LinkSettings)
     publish: PublishSettings = field(default_factory=PublishSettings)

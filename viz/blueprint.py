@@ -104,7 +104,7 @@ def _plots(window: rrb.VisibleTimeRange | None) -> rrb.Grid:
 def _states(window: rrb.VisibleTimeRange | None) -> rrb.StateTimelineView:
     return rrb.StateTimelineView(
         origin="/state",
-        name="Is the accelerometer trusted as the vertical (each second), the gate with its reasons, the samples",
+        name="Is the accelerometer taken for the vertical (each second), the gate, the samples",
         time_ranges=window,
         time_view=rrb.TimeAxis(link="LinkToGlobal"),
     )

@@ -44,10 +44,10 @@ from ahrs_service.settings import Settings
 from links.errors import RecordingError
 
 EXIT_DONE: Final = 0
-PROFILES: Final[dict[str, Literal["fixed_wing", "multirotor", "other"]]] = {
+PROFILES: Final[dict[str, Literal["fixed_wing", "multirotor", "hand_held", "other"]]] = {
     "fixed_wing": "fixed_wing",
     "multirotor": "multirotor",
-    "hand_held": "other",
+    "hand_held": "hand_held",
     "ground_test": "other",
     "other": "other",
 }

@@ -37,7 +37,13 @@ _ACCEL_MISSING = int(Flag.ACCEL_MISSING)
 
 @kernel
 def move(
-    settings: Record, state: Record, gyro: Floats, accel: Floats, dt_s: float, flags: int
+    settings: Record,
+    state: Record,
+    airframe: int,
+    gyro: Floats,
+    accel: Floats,
+    dt_s: float,
+    flags: int,
 ) -> None:
     """Integrate one sample and gather what it adds to the turn.
 
@@ -45,15 +51,18 @@ def move(
     stream widens the covariance by itself.
     """
     rate = np.empty(3)
-    change2 = 0.0
+    change2 = rate2 = 0.0
     for i in range(3):
         rate[i] = gyro[i] - state["gyro_bias_rad_s"][i]
         change2 += (rate[i] - state["rate_rad_s"][i]) ** 2
+        rate2 += rate[i] * rate[i]
+    state["turn_angle_variance"] += settings["gyro_scale_error_rts"] ** 2 * rate2 * dt_s
     if flags & _GAP:
         state["turn_angle_variance"] += (GAP_RATE_SIGMA_RAD_S * dt_s) ** 2
     else:
         state["turn_angle_variance"] += change2 * dt_s * dt_s / 48.0
-        strapdown.rotate(state["ned_from_body"], state["rate_rad_s"], rate, dt_s)
+        share = settings["gyro_share"]
+        strapdown.rotate(state["ned_from_body"], state["rate_rad_s"], rate, dt_s, share)
     _smooth_rate(settings, state, rate, dt_s)
     ned_from_body = np.empty((3, 3))
     matrix(state["ned_from_body"], ned_from_body)
@@ -65,7 +74,7 @@ def move(
     if flags & (_GAP | _ACCEL_MISSING):
         state["turn_velocity_variance"] += (GAP_FORCE_SIGMA_M_S2 * dt_s) ** 2
     else:
-        _move_velocity(settings, state, ned_from_body, accel, dt_s)
+        _move_velocity(settings, state, airframe, ned_from_body, accel, dt_s)
 
 
 @kernel
@@ -80,7 +89,12 @@ def _smooth_rate(settings: Record, state: Record, rate: Floats, dt_s: float) -> 
 
 @kernel
 def _move_velocity(
-    settings: Record, state: Record, ned_from_body: Floats, accel: Floats, dt_s: float
+    settings: Record,
+    state: Record,
+    airframe: int,
+    ned_from_body: Floats,
+    accel: Floats,
+    dt_s: float,
 ) -> None:
     """Integrate the specific force, and average it in earth axes, where gravity stands still."""
     weight = dt_s / (settings["smoothing_s"] + dt_s)
@@ -94,8 +108,8 @@ def _move_velocity(
         state["turn_impulse_m_s"][i] += force * dt_s
         state["velocity_ned_m_s"][i] += force * dt_s
     state["velocity_ned_m_s"][2] += STANDARD_GRAVITY_M_S2 * dt_s
-    excess = settings["accel_scale_error"] * (math.sqrt(norm2) - STANDARD_GRAVITY_M_S2)
-    noise2 = settings["velocity_noise_m_s_rts"] ** 2 + excess * excess
+    excess = settings["accel_scale_error"][airframe] * (math.sqrt(norm2) - STANDARD_GRAVITY_M_S2)
+    noise2 = settings["velocity_noise_m_s_rts"][airframe] ** 2 + excess * excess
     state["turn_velocity_variance"] += noise2 * dt_s
 
 

@@ -13,22 +13,29 @@ ERROR_STATES: Final = 9
 
 
 @kernel
-def rotate(q: Floats, rate_before: Floats, rate: Floats, dt_s: float) -> None:
-    """Turn `q` [4] by the body rates at both ends of an interval [rad/s].
+def rotate(q: Floats, rate_before: Floats, rate: Floats, dt_s: float, share: float) -> None:
+    """Turn `q` [4] by two successive gyro samples [rad/s].
 
-    The rate is taken as linear in time: rotation vector = dt (w0 + w1) / 2 + dt^2 (w0 x w1) / 12,
-    the second term being coning (Savage 1998, eq. 33, two-sample form).
+    rotation vector = dt ((1 - share) w0 + share w1) + dt^2 (w0 x w1) / 12, the second term being
+    coning (Savage 1998, eq. 33, two-sample form). `share` is 1/2 where a sample is the rate of one
+    instant, and 1 where it is the mean since the sample before.
     """
-    half = 0.5 * dt_s
+    old, new = (1.0 - share) * dt_s, share * dt_s
     coning = dt_s * dt_s / 12.0
-    x = half * (rate_before[0] + rate[0]) + coning * (
-        rate_before[1] * rate[2] - rate_before[2] * rate[1]
+    x = (
+        old * rate_before[0]
+        + new * rate[0]
+        + coning * (rate_before[1] * rate[2] - rate_before[2] * rate[1])
     )
-    y = half * (rate_before[1] + rate[1]) + coning * (
-        rate_before[2] * rate[0] - rate_before[0] * rate[2]
+    y = (
+        old * rate_before[1]
+        + new * rate[1]
+        + coning * (rate_before[2] * rate[0] - rate_before[0] * rate[2])
     )
-    z = half * (rate_before[2] + rate[2]) + coning * (
-        rate_before[0] * rate[1] - rate_before[1] * rate[0]
+    z = (
+        old * rate_before[2]
+        + new * rate[2]
+        + coning * (rate_before[0] * rate[1] - rate_before[1] * rate[0])
     )
     turn = np.empty(4)
     from_rotation_vector(x, y, z, turn)

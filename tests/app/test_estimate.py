@@ -174,7 +174,7 @@ def test_rows_without_numbers_survive(flight, run, field):
 
 @pytest.mark.parametrize(
     ("profile", "airframe"),
-    [("fixed_wing", "fixed_wing"), ("multirotor", "multirotor"), ("hand_held", "other")],
+    [("fixed_wing", "fixed_wing"), ("multirotor", "multirotor"), ("hand_held", "hand_held")],
 )
 def test_a_profile_is_the_class_of_airframe(flight, run, profile, airframe):
     fields, _ = flight

@@ -49,7 +49,7 @@ def error_after_one_second(rate_hz):
     t = np.arange(int(rate_hz) + 1) / rate_hz
     rates, q = cone_rate(t), cone(t[:1])[0].copy()
     for before, after in itertools.pairwise(rates):
-        rotate(q, before, after, 1.0 / rate_hz)
+        rotate(q, before, after, 1.0 / rate_hz, 0.5)
     error = multiply_columns(inverse_columns(cone(t[-1:])), q[None])[0]
     return 2.0 * math.asin(min(1.0, float(np.linalg.norm(error[1:]))))
 
@@ -69,7 +69,7 @@ def test_constant_rate_is_exact():
     q = np.array([1.0, 0.0, 0.0, 0.0])
     rate = np.array([0.3, -0.2, 0.9])
     for _ in range(50):
-        rotate(q, rate, rate, 0.2)
+        rotate(q, rate, rate, 0.2, 0.5)
     angle = 10.0 * np.linalg.norm(rate)
     expected = np.concatenate(
         [[math.cos(angle / 2)], math.sin(angle / 2) * rate / np.linalg.norm(rate)]
@@ -101,6 +101,6 @@ def test_covariance_equals_the_matrix_form():
 @pytest.mark.parametrize("angle", [1e-9, 1e-5, 1.1e-4, 1e-2, 3.0])
 def test_small_and_large_rotation_vectors_agree_with_the_formula(angle):
     q, zero = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
-    rotate(q, zero, np.array([2 * angle, 0.0, 0.0]), 1.0)
+    rotate(q, zero, np.array([2 * angle, 0.0, 0.0]), 1.0, 0.5)
     assert q[0] == pytest.approx(math.cos(angle / 2), abs=1e-15)
     assert q[1] == pytest.approx(math.sin(angle / 2), rel=1e-13)
