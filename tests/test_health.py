@@ -7,7 +7,8 @@ from ahrs_service.records import ESTIMATE_DTYPE, Flag, Phase, empty
 
 TOLD = {
     Flag.GAP: "gap",
-    Flag.CLOCK_JUMP: "clock",
+    Flag.CLOCK_JUMP: "the autopilot's clock jumped",
+    Flag.REALIGNED: "aligning anew",
     Flag.ACCEL_MISSING: "accelerometer",
     Flag.NOT_FINITE: "not finite",
     Flag.SATURATED: "out of its range",
@@ -18,8 +19,8 @@ TOLD = {
     Flag.TEMPERATURE_OUT_OF_RANGE: "outside the calibrated range",
     Flag.LOW_RATE: "below 20 Hz",
 }
-NOT_TOLD = {Flag.DUPLICATE, Flag.REORDERED, Flag.REALIGNED}
-"""A single one of these harms nothing, or goes with another flag."""
+NOT_TOLD = {Flag.DUPLICATE, Flag.REORDERED}
+"""A single one of these harms nothing."""
 
 
 def estimate(flags=0, phase=Phase.RUNNING):
@@ -80,6 +81,33 @@ def test_several_faults_are_told_together():
     said = monitor.update(True, now_s)
     assert said == "degraded; gap in the IMU data; IMU out of its range"
     assert monitor.reasons == ("gap in the IMU data", "IMU out of its range")
+
+
+@pytest.mark.parametrize(
+    ("flags", "phase", "said"),
+    [
+        (Flag.CLOCK_JUMP, Phase.RUNNING, "degraded; the autopilot's clock jumped"),
+        (
+            Flag.CLOCK_JUMP | Flag.GAP,
+            Phase.RUNNING,
+            "degraded; gap in the IMU data; the autopilot's clock jumped",
+        ),
+        (
+            Flag.CLOCK_JUMP | Flag.GAP | Flag.REALIGNED,
+            Phase.ALIGNING,
+            "aligning; gap in the IMU data; the autopilot's clock jumped; aligning anew",
+        ),
+        (
+            Flag.IMU_CHANGED | Flag.REALIGNED,
+            Phase.ALIGNING,
+            "aligning; aligning anew; another IMU is in use",
+        ),
+    ],
+)
+def test_only_what_aligns_anew_says_so(flags, phase, said):
+    monitor, now_s = fed()
+    monitor.sample(estimate(flags, phase), now_s)
+    assert monitor.update(True, now_s) == said
 
 
 def test_silence_is_told_after_half_a_second():

@@ -68,17 +68,28 @@ def _step_back(state: Record, time_ns: int) -> int:
     if back_s < LATE_LIMIT_S and state["late_samples"] <= LATE_SAMPLES:
         state["reordered"] += 1
         return _REORDERED
-    state["late_samples"] = 0
     return _CLOCK_JUMP
 
 
 @kernel
-def _jump(state: Record, time_ns: int, receipt_s: float, gap_s: float) -> tuple[float, int]:
+def _is_gap(state: Record, step_s: float, gap_s: float) -> bool:
+    return bool(step_s > max(gap_s, _GAP_INTERVALS * state["interval_s"]))
+
+
+@kernel
+def _jump(
+    state: Record, time_ns: int, received_ns: int, receipt_s: float, gap_s: float
+) -> tuple[float, int]:
     """Follow a clock that jumped: the receipts tell whether samples were missed meanwhile."""
+    # Samples that were taken for late ones came, but moved nothing: their turn is made up for.
+    taken_for_late = max(state["late_samples"] - 1, 0)
+    late_s = taken_for_late * state["interval_s"]
     state["clock_jumps"] += 1
+    state["late_samples"] = 0
     state["time_ns"] = time_ns
-    if 0.0 <= receipt_s < gap_s:
-        return float(state["interval_s"]), _CLOCK_JUMP
+    state["received_ns"] = received_ns
+    if receipt_s >= 0.0 and not _is_gap(state, receipt_s - late_s, gap_s):
+        return float(late_s + state["interval_s"]), _CLOCK_JUMP
     state["gaps"] += 1
     return (receipt_s if receipt_s > 0.0 else UNKNOWN_GAP_S), _CLOCK_JUMP | _GAP
 
@@ -88,13 +99,14 @@ def advance(state: Record, time_ns: int, received_ns: int, gap_s: float) -> tupl
     """Take the stamp of a sample; return the step [s] and what was found (records.Flag).
 
     The step is 0 for the first sample and for one that moves nothing; over a clock jump it is
-    the usual interval if the samples kept coming, else the time between their receipts.
+    the usual interval if the samples kept coming, else the time between the receipts of this
+    sample and the last that moved anything.
     """
     receipt_s = (received_ns - state["received_ns"]) * 1e-9
-    state["received_ns"] = received_ns
     state["samples"] += 1
     if state["samples"] == 1:
         state["time_ns"] = time_ns
+        state["received_ns"] = received_ns
         return 0.0, 0
     dt_s = (time_ns - state["time_ns"]) * 1e-9
     if dt_s == 0.0:
@@ -103,14 +115,15 @@ def advance(state: Record, time_ns: int, received_ns: int, gap_s: float) -> tupl
     if dt_s < 0.0:
         if _step_back(state, time_ns) == _REORDERED:
             return 0.0, _REORDERED
-        return _jump(state, time_ns, receipt_s, gap_s)
+        return _jump(state, time_ns, received_ns, receipt_s, gap_s)
     state["late_samples"] = 0
     if dt_s > FORWARD_LIMIT_S and receipt_s < FORWARD_LIMIT_S:
-        return _jump(state, time_ns, receipt_s, gap_s)
+        return _jump(state, time_ns, received_ns, receipt_s, gap_s)
     state["time_ns"] = time_ns
+    state["received_ns"] = received_ns
     usual_s = state["interval_s"]
     flags = _LOW_RATE if usual_s > LOW_RATE_INTERVAL_S else 0
-    if usual_s > 0.0 and dt_s > max(gap_s, _GAP_INTERVALS * usual_s):
+    if usual_s > 0.0 and _is_gap(state, dt_s, gap_s):
         state["gaps"] += 1
         return dt_s, flags | _GAP
     _follow_interval(state, dt_s)

@@ -176,7 +176,7 @@ def test_an_autopilot_that_restarts(live: SimpleNamespace, tmp_path: Path) -> No
                 await fly_autopilot(served, vehicle, autopilot, 8.0)
                 assert autopilot.counts.sent["HIGHRES_IMU"] > 1000
             await served.heard("the autopilot restarted; asking for its messages anew")
-            await served.heard("the autopilot's clock jumped; aligning anew")
+            await served.heard("the autopilot's clock jumped")
         return served
 
     served = asyncio.run(scenario())
@@ -184,10 +184,15 @@ def test_an_autopilot_that_restarts(live: SimpleNamespace, tmp_path: Path) -> No
     flags, phase = result.estimates["flags"], result.estimates["phase"]
     (jumps,) = np.nonzero(flags & Flag.CLOCK_JUMP)
     assert len(jumps) == 1
-    assert flags[jumps[0]] & Flag.REALIGNED
-    assert phase[jumps[0] - 1] == Phase.RUNNING
-    assert phase[jumps[0]] == Phase.ALIGNING
-    assert phase[-1] == Phase.RUNNING
+    # Its samples kept coming, so what was known of the attitude still holds.
+    assert not (flags & Flag.REALIGNED).any()
+    (running,) = np.nonzero(phase == Phase.RUNNING)
+    assert running[0] < jumps[0]
+    assert len(running) == len(phase) - running[0]
+    attitudes = result.estimates["ned_from_body"]
+    alike = np.abs(attitudes[jumps[0] :] @ attitudes[jumps[0] - 1])
+    assert 2.0 * np.arccos(min(alike.min(), 1.0)) < np.radians(1.0)
+    assert not any("aligning anew" in text for _, text in served.said)
     assert served.daemon.component.vehicle == (1, 1)
 
 
