@@ -179,14 +179,16 @@ class Component:
         return answers
 
     def _on_parameter(self, message: Any, sender: Sender, now_s: float) -> list[Any]:
-        del sender, now_s
+        del sender
         # Whoever asks all components for their lists asks us too.
         is_list = message.get_type() == "PARAM_REQUEST_LIST"
         reaches_us = message.target_system in (0, self.system) and (
             message.target_component in (0, self.component)
         )
         if self._is_for_us(message) or (is_list and reaches_us and self.system):
-            self._parameters.on_message(message)
+            refusal = self._parameters.on_message(message)
+            if refusal:
+                self._texts.remark(refusal, now_s)
         return []
 
     # -- out ----------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 COMMAND_ACK names the command and not the message, so one request is under way at a time. A denied
 rate steps down a ladder (ArduPilot grants at most 0.8 of its loop rate, in whole milliseconds),
 a rate that is lost (a ground station or a reboot reset it) is asked for again, and an autopilot
-that answers nothing is asked once in the old way, by REQUEST_DATA_STREAM.
+that knows no such command is asked once in the old way, by REQUEST_DATA_STREAM.
 """
 
 from collections import deque
@@ -45,11 +45,8 @@ _EVENTS: Final = 64
 _SET_INTERVAL: Final = int(dialect.MAV_CMD_SET_MESSAGE_INTERVAL)
 _ACCEPTED: Final = int(dialect.MAV_RESULT_ACCEPTED)
 _IN_PROGRESS: Final = int(dialect.MAV_RESULT_IN_PROGRESS)
-_REFUSED: Final = (
-    int(dialect.MAV_RESULT_DENIED),
-    int(dialect.MAV_RESULT_FAILED),
-    int(dialect.MAV_RESULT_TEMPORARILY_REJECTED),
-)
+_NOT_NOW: Final = int(dialect.MAV_RESULT_TEMPORARILY_REJECTED)
+_REFUSED: Final = (int(dialect.MAV_RESULT_DENIED), int(dialect.MAV_RESULT_FAILED))
 
 
 @dataclass(slots=True)
@@ -101,7 +98,7 @@ class Intervals:
         self._deadline_s = 0.0
         self._quiet_until_s = float("-inf")
         self._window_s = float("-inf")
-        self._answered = False
+        self._understood = False
         self._old_way = False
         for name, hertz in wanted_hz.items():
             self.want(name, hertz)
@@ -121,7 +118,7 @@ class Intervals:
         """Ask for everything anew: the autopilot restarted or the link came back."""
         self._asking = None
         self._window_s = float("-inf")
-        self._answered = self._old_way = False
+        self._understood = self._old_way = False
         self.pause()
         for rate in self.rates.values():
             rate.asked_hz, rate.granted_hz, rate.measured_hz = rate.wanted_hz, None, 0.0
@@ -174,15 +171,18 @@ class Intervals:
         rate = self._asking
         if command != _SET_INTERVAL or rate is None:
             return
-        self._answered = True
         if result == _IN_PROGRESS:
             self._deadline_s = now_s + ANSWER_S
             return
         self._finish(rate, now_s)
+        # Old autopilots answer UNSUPPORTED to what they do not know: that is no understanding.
+        self._understood |= result in (_ACCEPTED, _NOT_NOW, *_REFUSED)
         if result == _ACCEPTED:
             self._grant(rate, now_s)
         elif result in _REFUSED:
             self._step_down(rate, now_s)
+        elif result == _NOT_NOW:
+            self._postpone(rate, "rejected for now", now_s)
         else:
             rate.state = "unsupported"
             rate.retry_s = float("inf")
@@ -226,8 +226,10 @@ class Intervals:
             return
         self._asking = None
         rate.attempts = 0
-        rate.granted_hz = None
-        rate.state = "no answer"
+        self._postpone(rate, "no answer", now_s)
+
+    def _postpone(self, rate: Rate, state: str, now_s: float) -> None:
+        rate.granted_hz, rate.state = None, state
         rate.retry_s = now_s + rate.patience_s
         rate.patience_s = min(2.0 * rate.patience_s, LONGEST_ASK_AGAIN_S)
 
@@ -237,16 +239,16 @@ class Intervals:
         return first if first is not None and first.retry_s <= now_s else None
 
     def _is_deaf(self) -> bool:
-        """Return whether every request went without an answer and the old way is still open."""
-        if self._answered or self._old_way:
+        """Return whether no request was understood and the old way is still open."""
+        if self._understood or self._old_way:
             return False
-        return all(rate.state == "no answer" for rate in self.rates.values())
+        return all(rate.state in ("no answer", "unsupported") for rate in self.rates.values())
 
     def _ask_the_old_way(self, system: int, component: int) -> list[Any]:
         """Ask by streams."""
         self._old_way = True
         self.events.append(
-            ("warning", "no answer to SET_MESSAGE_INTERVAL; asking by REQUEST_DATA_STREAM")
+            ("warning", "SET_MESSAGE_INTERVAL is not understood; asking by REQUEST_DATA_STREAM")
         )
         hertz = int(min(50.0, max(rate.wanted_hz for rate in self.rates.values())))
         streams = (

@@ -68,15 +68,16 @@ class ParameterServer:
         # Each name waits once, in order: no flood of requests makes this longer than the list.
         self._to_send: dict[str, None] = {}
 
-    def on_message(self, message: Any) -> None:
-        """Take one request that is meant for us."""
+    def on_message(self, message: Any) -> str:
+        """Take one request that is meant for us; return why it was refused, if it was."""
         kind = message.get_type()
         if kind == "PARAM_REQUEST_LIST":
             self._to_send.update(dict.fromkeys(_NAMES))
         elif kind == "PARAM_REQUEST_READ":
             self._read(message)
         elif kind == "PARAM_SET":
-            self._set(_text(message.param_id), float(message.param_value))
+            return self._set(_text(message.param_id), float(message.param_value))
+        return ""
 
     def _read(self, message: Any) -> None:
         """Answer by index, or by name where the index is -1."""
@@ -86,18 +87,20 @@ class ParameterServer:
         elif index == -1:
             self._answer(_text(message.param_id))
 
-    def _set(self, name: str, value: float) -> None:
+    def _set(self, name: str, value: float) -> str:
         """Change a value or refuse it; either way the answer is the value in force."""
-        value = _shortest(value)
+        value, refusal = _shortest(value), ""
         try:
             changed = change(self.settings, name, value)
         except ValueError as error:
-            self.events.append(("warning", f"PARAM_SET refused: {error}"))
+            refusal = f"PARAM_SET refused: {error}"
+            self.events.append(("warning", refusal))
         else:
             if changed != self.settings:
                 self.settings = changed
                 self.events.append(("info", f"{name} set to {value:g}"))
         self._answer(name)
+        return refusal
 
     def _answer(self, name: str) -> None:
         if name in PARAMETERS:

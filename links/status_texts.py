@@ -7,6 +7,7 @@ from links.mavlink_codec import dialect
 
 PACE_S: Final = 1.0
 REPEAT_S: Final = 30.0
+REMARK_S: Final = 5.0
 _CHUNK_BYTES: Final = 50
 _LONGEST_BYTES: Final = 5 * _CHUNK_BYTES
 _REMEMBERED: Final = 16
@@ -25,6 +26,7 @@ class StatusTexts:
         self._last = ""
         self._held: tuple[str, bool] | None = None
         self._next_s = float("-inf")
+        self._next_remark_s = float("-inf")
         self._id = 0
 
     def announce(self, text: str, is_good: bool, now_s: float) -> None:
@@ -34,6 +36,13 @@ class StatusTexts:
             self._enqueue(text, is_good, now_s)
         elif text != self._last:
             self._held = text, is_good
+
+    def remark(self, text: str, now_s: float) -> None:
+        """Queue what holds for a moment only: one in 5 s, and none while a text waits."""
+        if self._queue or now_s < self._next_remark_s:
+            return
+        self._next_remark_s = now_s + REMARK_S
+        self._queue.append((int(dialect.MAV_SEVERITY_WARNING), f"AHRS: {text}"))
 
     def tick(self, now_s: float) -> list[Any]:
         """Return the messages of the text that is due, if any."""

@@ -180,6 +180,28 @@ def test_an_autopilot_that_answers_nothing_is_asked_once_by_streams(converse):
     assert {rate.state for rate in flight.component.rates()} == {"no answer"}
 
 
+def test_an_autopilot_that_knows_no_such_command_is_asked_once_by_streams(converse):
+    flight = converse()
+    names = [rate.name for rate in flight.component.rates()]
+    flight.refuse = dict.fromkeys([*names, "RAW_IMU"], UNSUPPORTED)
+    flight.run(60.0)
+    streams = flight.named("REQUEST_DATA_STREAM")
+    assert len(streams) == 4
+    assert streams[0][0] - 1000.0 < 2.0
+    assert [len(flight.asked(name)) for name in ("ATTITUDE", "RAW_IMU")] == [1, 1]
+    assert {rate.state for rate in flight.component.rates()} == {"unsupported"}
+
+
+@pytest.mark.parametrize("name", ["HIGHRES_IMU", "VFR_HUD"])
+def test_one_message_that_is_granted_closes_the_old_way(converse, name):
+    flight = converse()
+    names = {rate.name for rate in flight.component.rates()} | {"RAW_IMU"}
+    flight.refuse = dict.fromkeys(names - {name}, UNSUPPORTED)
+    flight.run(30.0)
+    assert flight.named("REQUEST_DATA_STREAM") == []
+    assert rates(flight)[name].granted_hz == rates(flight)[name].wanted_hz
+
+
 def test_a_silent_autopilot_is_asked_less_and_less_often(converse):
     flight = converse()
     flight.deaf = True
@@ -311,6 +333,28 @@ def test_an_answer_in_progress_is_waited_for():
     assert intervals.tick(1.1, 1, 1) == []
     intervals.on_ack(SET_INTERVAL, ACCEPTED, 1.15)
     assert intervals.find("ATTITUDE").granted_hz == 10.0
+
+
+def test_what_is_rejected_for_now_is_asked_again_at_the_same_rate(converse):
+    flight = converse()
+    flight.refuse = {"HIGHRES_IMU": dialect.MAV_RESULT_TEMPORARILY_REJECTED}
+    flight.run(5.0)
+    assert rates(flight)["HIGHRES_IMU"].state == "rejected for now"
+    assert rates(flight)["ATTITUDE"].granted_hz == 10.0
+    flight.refuse = {}
+    flight.run(20.0)
+    assert [rate for _, rate in flight.asked("HIGHRES_IMU")] == [200, 200]
+    assert rates(flight)["HIGHRES_IMU"].granted_hz == 200.0
+    assert flight.texts("denied") == flight.texts("does not come") == []
+
+
+def test_what_is_always_rejected_for_now_is_asked_less_and_less_often(converse):
+    flight = converse()
+    flight.refuse = {"HIGHRES_IMU": dialect.MAV_RESULT_TEMPORARILY_REJECTED}
+    flight.run(190.0)
+    times = [at_s for at_s, _ in flight.asked("HIGHRES_IMU")]
+    gaps = [b - a for a, b in itertools.pairwise(times)]
+    assert gaps == pytest.approx([10.0, 20.0, 40.0, 80.0], abs=0.2)
 
 
 def test_a_rate_of_zero_is_left_alone(converse):

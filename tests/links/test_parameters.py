@@ -196,3 +196,50 @@ def test_nothing_is_listed_before_a_vehicle_is_adopted(arrived):
     component.on_message(arrived(dialect.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3)), 0.0)
     names = {message.get_type() for message in component.tick(0.0, "active")}
     assert "PARAM_VALUE" not in names
+
+
+def texts_of(component, start_s, seconds):
+    """STATUSTEXTs of a number of ticks, chunks put together."""
+    texts = {}
+    for tick in range(round(seconds / 0.05)):
+        now_s = start_s + 0.05 * tick
+        for message in component.tick(now_s, "active"):
+            if message.get_type() == "STATUSTEXT":
+                at_s = round(now_s, 2)
+                texts[at_s] = texts.get(at_s, "") + message.text
+    return texts
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "told"),
+    [
+        (b"AHRS_GATE_NORM", math.nan, "AHRS_GATE_NORM = nan is not in 0.01..50"),
+        (b"AHRS_NO", 1.0, "no parameter 'AHRS_NO'; known are AHRS_GATE_NORM, "),
+    ],
+)
+def test_a_refusal_is_told_to_the_ground(component, arrived, name, value, told):
+    component.on_message(arrived(set_message(name, value), 255, 190), 1.0)
+    (text,) = texts_of(component, 1.0, 20.0).values()
+    assert text.startswith(f"AHRS: PARAM_SET refused: {told}")
+
+
+def test_a_value_that_is_taken_makes_no_text(component, arrived):
+    component.on_message(arrived(set_message(b"AHRS_GATE_NORM", 1.0), 255, 190), 1.0)
+    assert texts_of(component, 1.0, 5.0) == {}
+
+
+def test_a_flood_of_refusals_is_sparse_and_holds_no_state_back(component, arrived):
+    texts = {}
+    for second in range(1, 41):
+        for n in range(50):
+            bad = set_message(b"AHRS_GATE_NORM", -1.0 - n - 100.0 * second)
+            component.on_message(arrived(bad, 255, 190), float(second))
+        if second in (10, 12):
+            component.announce("degraded" if second == 10 else "good", second == 12, float(second))
+        texts |= texts_of(component, float(second), 1.0)
+    refusals = [at_s for at_s, text in texts.items() if "refused" in text]
+    assert len(refusals) == 8
+    assert {text: at_s for at_s, text in texts.items() if "refused" not in text} == {
+        "AHRS: degraded": pytest.approx(10.0, abs=1.01),
+        "AHRS: good": pytest.approx(12.0, abs=1.01),
+    }
