@@ -29,11 +29,11 @@ from typing import Any, Final
 from rich.console import Console
 from rich.table import Table
 
-from ahrs_service.app import config_file
+from ahrs_service.app import config_file, options
 from ahrs_service.app.daemon import Daemon
 from ahrs_service.app.replay_log import ReplayResult, replay_log
 from ahrs_service.app.report import error_table
-from ahrs_service.app.run import DEFAULT_VIEWER_PORT, positive, showing
+from ahrs_service.app.run import DEFAULT_VIEWER_PORT, showing
 from ahrs_service.app.terminal import TerminalLog, session_table
 from ahrs_service.settings import Settings
 from ahrs_service.simulation.scenario import SCENARIOS
@@ -46,7 +46,9 @@ EXIT_TERMINATED: Final = 143
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `demo`."""
-    parser.add_argument("--seconds", type=positive, default=60.0, help="length of the flight")
+    parser.add_argument(
+        "--seconds", type=options.positive, default=60.0, help="length of the flight"
+    )
     parser.add_argument("--scenario", default="flight", help="see ahrs-service simulate --help")
     parser.add_argument("--seed", type=int, default=1, help="another seed is another flight")
     parser.add_argument(
@@ -55,14 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--headless", action="store_true", help="open no viewer window, also where a screen is"
     )
-    parser.add_argument(
-        "--set",
-        dest="overrides",
-        metavar="SECTION.KEY=VALUE",
-        action="append",
-        default=[],
-        help="change one setting of the service",
-    )
+    options.add_settings(parser, with_file=False)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from ahrs_service import pipeline
-from ahrs_service.app import config_file
+from ahrs_service.app import config_file, options
 from ahrs_service.records import (
     ESTIMATE_DTYPE,
     SAMPLE_DTYPE,
@@ -254,19 +254,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how the vehicle moves (default: other, or as fusion.airframe says)",
     )
     parser.add_argument("--frame", choices=["frd", "flu"], default="frd", help="default: frd")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="settings (TOML)")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="SECTION.KEY=VALUE",
-        help="one setting, as fusion.mode=gated; may be given several times",
-    )
+    options.add_settings(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Estimate the attitude of one file; return the exit code."""
-    settings = config_file.load(args.config, args.set)
+    settings = config_file.load(args.config, args.overrides)
     if args.profile is not None:
         fusion = replace(settings.fusion, airframe=PROFILES[args.profile])
         settings = replace(settings, fusion=fusion)

@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from ahrs_service.app import config_file
+from ahrs_service.app import config_file, options
 from ahrs_service.app.export import write_csv, write_parquet
 from ahrs_service.app.export_rrd import write_recording
 from ahrs_service.app.export_tlog import write_tlog
@@ -74,21 +74,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--parquet", type=Path, metavar="OUT", help="write all estimates")
     parser.add_argument("--csv", type=Path, metavar="OUT", help="write all estimates as text")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write all tables' figures")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="settings (TOML)")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="SECTION.KEY=VALUE",
-        help="one setting, as gate.norm_m_s2=0.4; may be given several times",
-    )
+    options.add_settings(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Replay every log; return 0 if all were, 1 if some were refused or failed."""
     settings = None
-    if args.config is not None or args.set:
-        settings = config_file.load(args.config, args.set)
+    if args.config is not None or args.overrides:
+        settings = config_file.load(args.config, args.overrides)
     logs = _logs(args.logs)
     console = Console()
     errors = Console(stderr=True, soft_wrap=True, highlight=False)

@@ -14,7 +14,6 @@ import argparse
 import asyncio
 import contextlib
 import dataclasses
-import math
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,7 +23,7 @@ from typing import Final
 from rich.console import Console
 from rich.live import Live
 
-from ahrs_service.app import config_file
+from ahrs_service.app import config_file, options
 from ahrs_service.app.daemon import Daemon
 from ahrs_service.app.terminal import TerminalLog, live_table, session_table
 from ahrs_service.settings import Settings
@@ -40,15 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="URI",
         help="udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEV:BAUD",
     )
-    parser.add_argument("--config", metavar="FILE", help="settings as TOML, see configs/")
-    parser.add_argument(
-        "--set",
-        dest="overrides",
-        metavar="SECTION.KEY=VALUE",
-        action="append",
-        default=[],
-        help="change one setting; may be given more than once",
-    )
+    options.add_settings(parser)
     parser.add_argument("--record", metavar="PATH", help="folder or .tlog file to record to")
     parser.add_argument(
         "--viewer",
@@ -60,17 +51,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--rrd", metavar="FILE", help="also write the Rerun stream to this file")
     parser.add_argument(
-        "--seconds", type=positive, metavar="S", help="end by itself after S seconds"
+        "--seconds", type=options.positive, metavar="S", help="end by itself after S seconds"
     )
     parser.add_argument("--quiet", action="store_true", help="log lines only, no live table")
-
-
-def positive(text: str) -> float:
-    """Return the number that `text` is, for argparse; it must be finite and above 0."""
-    value = float(text)
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text} is not a number above 0")
-    return value
 
 
 def settings_from(arguments: argparse.Namespace) -> Settings:

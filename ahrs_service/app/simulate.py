@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from ahrs_service.app.config_file import ConfigError
+from ahrs_service.app.options import positive
 from ahrs_service.simulation.scenario import FASTEST_HZ, SCENARIOS, Flight, make_flight
 from links.autopilot import DEFAULT_RATES_HZ, SimulatedAutopilot
 from links.autopilot_messages import UNIX_START_US
@@ -47,15 +48,8 @@ RECORDED_RATES_HZ: Final[Mapping[str, float]] = {
 EXIT_DONE: Final = 0
 
 
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text} is not a number above 0")
-    return value
-
-
 def _not_negative(text: str) -> float:
-    return 0.0 if float(text) == 0.0 else _positive(text)
+    return 0.0 if float(text) == 0.0 else positive(text)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,17 +65,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     about = "; ".join(f"{name}: {scenario.text}" for name, scenario in SCENARIOS.items())
     parser.add_argument("--scenario", default="flight", metavar="NAME", help=about)
-    parser.add_argument("--seconds", type=_positive, default=60.0, help="length of the flight")
+    parser.add_argument("--seconds", type=positive, default=60.0, help="length of the flight")
     parser.add_argument("--seed", type=int, default=1, help="another seed is another flight")
     parser.add_argument(
         "--rate",
-        type=_positive,
+        type=positive,
         default=400.0,
         metavar="HZ",
         help=f"the autopilot's loop, to {FASTEST_HZ:g}; it grants messages at 0.8 of it",
     )
     parser.add_argument(
-        "--speed", type=_positive, default=1.0, metavar="FACTOR", help="faster than real time"
+        "--speed", type=positive, default=1.0, metavar="FACTOR", help="faster than real time"
     )
     parser.add_argument(
         "--truth",
