@@ -26,7 +26,7 @@ from ahrs_service.fusion import (
 )
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Airframe, Flag, Floats, Gate, Phase, Record, Rows
-from ahrs_service.rotation import down_in_body, matrix
+from ahrs_service.rotation import matrix
 from ahrs_service.sensor.compensation import compensate
 from ahrs_service.settings import Settings
 
@@ -94,6 +94,10 @@ STATE_DTYPE: Final = np.dtype(
         *rest.REST_FIELDS,
         *motion.MOTION_FIELDS,
         ("ned_from_body", "f8", 4),
+        ("dcm", "f8", (3, 3)),
+        ("gyro_rad_s", "f8", 3),
+        ("accel_m_s2", "f8", 3),
+        ("rate_before_rad_s", "f8", 3),
         ("gyro_bias_rad_s", "f8", 3),
         ("covariance", "f8", (strapdown.ERROR_STATES, strapdown.ERROR_STATES)),
         ("rate_rad_s", "f8", 3),
@@ -108,13 +112,17 @@ STATE_DTYPE: Final = np.dtype(
         ("gate", "i8"),
     ]
 )
-"""What the estimator remembers; saved and restored by its bytes."""
+"""What the estimator remembers, the compensated sample and its matrix `dcm` included.
+
+Saved and restored by its bytes.
+"""
 
 
 def new_state() -> Rows:
     """Return the state [1] before the first sample."""
     state = np.zeros(1, STATE_DTYPE)
     state["ned_from_body"][0, 0] = 1.0
+    state["dcm"][0] = np.eye(3)
     return state
 
 
@@ -235,9 +243,7 @@ def _turn(settings: Record, state: Record, airframe: int, flags: int) -> None:
         if state["rest_s"] > rest.CONFIRM_S:
             motion.hold_at_rest(state, correction, dt_s, settings["gyro_rest_sigma_rad_s"])
         else:
-            ned_from_body = np.empty((3, 3))
-            matrix(state["ned_from_body"], ned_from_body)
-            motion.bound_velocity(settings, state, ned_from_body, airframe, correction, dt_s)
+            motion.bound_velocity(settings, state, airframe, correction, dt_s)
     mekf.apply_correction(
         state["ned_from_body"],
         state["gyro_bias_rad_s"],
@@ -245,26 +251,23 @@ def _turn(settings: Record, state: Record, airframe: int, flags: int) -> None:
         state["force_ned_m_s2"],
         correction,
     )
+    matrix(state["ned_from_body"], state["dcm"])
 
 
 @kernel
 def _write_gate(state: Record, out: Record) -> None:
     """Write what the gate saw at the last turn; the innovation is turned into body axes."""
-    body = np.empty((3, 3))
-    matrix(state["ned_from_body"], body)
-    metrics, tilt = state["gate_metrics"], state["tilt_innovation_rad"]
+    dcm, metrics, tilt = state["dcm"], state["gate_metrics"], state["tilt_innovation_rad"]
     out["gate_norm_m_s2"] = metrics[0]
     out["gate_rate_rad_s"] = metrics[1]
     out["gate_angular_acceleration_rad_s2"] = metrics[2]
     out["gate_innovation"] = metrics[3]
     for i in range(3):
-        out["innovation_rad"][i] = body[0, i] * tilt[0] + body[1, i] * tilt[1]
+        out["innovation_rad"][i] = dcm[0, i] * tilt[0] + dcm[1, i] * tilt[1]
 
 
 @kernel
 def _write_estimate(state: Record, sample: Record, accel: Floats, flags: int, out: Record) -> None:
-    down = np.empty(3)
-    down_in_body(state["ned_from_body"], down)
     out["time_ns"] = sample["time_ns"]
     out["received_ns"] = sample["received_ns"]
     for i in range(4):
@@ -275,7 +278,7 @@ def _write_estimate(state: Record, sample: Record, accel: Floats, flags: int, ou
         out["gyro_bias_rad_s"][i] = state["gyro_bias_rad_s"][i]
         out["attitude_sigma_rad"][i] = math.sqrt(state["covariance"][i, i])
         out["gyro_bias_sigma_rad_s"][i] = math.sqrt(state["covariance"][3 + i, 3 + i])
-        out["residual_m_s2"][i] = accel[i] + STANDARD_GRAVITY_M_S2 * down[i]
+        out["residual_m_s2"][i] = accel[i] + STANDARD_GRAVITY_M_S2 * state["dcm"][2, i]
     out["temperature_degc"] = sample["temperature_degc"]
     out["gate"] = state["gate"]
     out["flags"] = flags
@@ -314,7 +317,7 @@ def _airframe(settings: Record, sample: Record) -> int:
 
 @kernel
 def _step(settings: Record, coefficients: Rows, state: Record, sample: Record, out: Record) -> None:
-    gyro, accel = np.empty(3), np.empty(3)
+    gyro, accel = state["gyro_rad_s"], state["accel_m_s2"]
     flags = sample["flags"] | compensate(
         coefficients,
         sample["gyro_rad_s"],

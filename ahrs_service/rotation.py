@@ -13,9 +13,12 @@ import numpy.typing as npt
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats
 
+Quaternion = tuple[float, float, float, float]
+"""w, x, y, z as plain numbers, for what lives only inside a kernel."""
+
 
 @kernel
-def multiply(p: Floats, q: Floats, out: Floats) -> None:
+def multiply(p: Floats | Quaternion, q: Floats | Quaternion, out: Floats) -> None:
     """Hamilton product out = p * q, each [4]; `out` may be `p` or `q`."""
     w = p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3]
     x = p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2]
@@ -25,17 +28,17 @@ def multiply(p: Floats, q: Floats, out: Floats) -> None:
 
 
 @kernel
-def from_rotation_vector(x: float, y: float, z: float, out: Floats) -> None:
-    """Quaternion [4] of the rotation vector (x, y, z) [rad]; exact, series below 1e-4 rad."""
+def from_rotation_vector(x: float, y: float, z: float) -> Quaternion:
+    """Quaternion of the rotation vector (x, y, z) [rad]; exact, series below 1e-4 rad."""
     angle2 = x * x + y * y + z * z
     if angle2 < 1e-8:
-        out[0] = 1.0 - angle2 / 8.0
+        w = 1.0 - angle2 / 8.0
         scale = 0.5 - angle2 / 48.0
     else:
         angle = math.sqrt(angle2)
-        out[0] = math.cos(0.5 * angle)
+        w = math.cos(0.5 * angle)
         scale = math.sin(0.5 * angle) / angle
-    out[1], out[2], out[3] = scale * x, scale * y, scale * z
+    return w, scale * x, scale * y, scale * z
 
 
 @kernel
@@ -45,14 +48,6 @@ def normalise(q: Floats) -> None:
     scale = 1.0 / norm if q[0] >= 0.0 else -1.0 / norm
     for i in range(4):
         q[i] *= scale
-
-
-@kernel
-def down_in_body(q: Floats, out: Floats) -> None:
-    """Unit vector of earth's down in body axes [3]: the third row of the matrix of `q` [4]."""
-    out[0] = 2.0 * (q[1] * q[3] - q[0] * q[2])
-    out[1] = 2.0 * (q[2] * q[3] + q[0] * q[1])
-    out[2] = q[0] * q[0] - q[1] * q[1] - q[2] * q[2] + q[3] * q[3]
 
 
 @kernel

@@ -62,15 +62,13 @@ def first_attitude(state: Record, gyro: Floats, accel: Floats) -> None:
     roll = math.atan2(-accel[1], -accel[2])
     pitch = math.atan2(accel[0], math.sqrt(accel[1] * accel[1] + accel[2] * accel[2]))
     from_euler(roll, pitch, before[2], state["ned_from_body"])
-    ned_from_body = np.empty((3, 3))
-    matrix(state["ned_from_body"], ned_from_body)
+    dcm = state["dcm"]
+    matrix(state["ned_from_body"], dcm)
     for i in range(3):
         state["rate_rad_s"][i] = gyro[i] - state["gyro_bias_rad_s"][i]
         state["smooth_rate_rad_s"][i] = state["rate_rad_s"][i]
         state["force_ned_m_s2"][i] = (
-            ned_from_body[i, 0] * accel[0]
-            + ned_from_body[i, 1] * accel[1]
-            + ned_from_body[i, 2] * accel[2]
+            dcm[i, 0] * accel[0] + dcm[i, 1] * accel[1] + dcm[i, 2] * accel[2]
         )
     state["aligned_samples"] = 1
 

@@ -28,16 +28,10 @@ CORRELATION_S: Final = 1.0
 
 
 @kernel
-def _azimuth_error(q: Floats, mag: Floats, declination_rad: float) -> float:
+def _azimuth_error(dcm: Floats, mag: Floats, declination_rad: float) -> float:
     """Error angle about down [rad] that explains the field [3] in body axes."""
-    ned_from_body = np.empty((3, 3))
-    matrix(q, ned_from_body)
-    north = (
-        ned_from_body[0, 0] * mag[0] + ned_from_body[0, 1] * mag[1] + ned_from_body[0, 2] * mag[2]
-    )
-    east = (
-        ned_from_body[1, 0] * mag[0] + ned_from_body[1, 1] * mag[1] + ned_from_body[1, 2] * mag[2]
-    )
+    north = dcm[0, 0] * mag[0] + dcm[0, 1] * mag[1] + dcm[0, 2] * mag[2]
+    east = dcm[1, 0] * mag[0] + dcm[1, 1] * mag[1] + dcm[1, 2] * mag[2]
     error = declination_rad - math.atan2(east, north)
     return math.atan2(math.sin(error), math.cos(error))
 
@@ -54,11 +48,11 @@ def first_heading(settings: Record, state: Record, mag: Floats) -> None:
     state["heading_source"] = 0
     if settings["use_magnetometer"] == 0 or not FIELD_MIN_UT < norm < FIELD_MAX_UT:
         return
-    error = _azimuth_error(state["ned_from_body"], mag, settings["declination_rad"])
-    turn = np.empty(4)
-    from_rotation_vector(0.0, 0.0, error, turn)
+    error = _azimuth_error(state["dcm"], mag, settings["declination_rad"])
+    turn = from_rotation_vector(0.0, 0.0, error)
     multiply(turn, state["ned_from_body"], state["ned_from_body"])
     normalise(state["ned_from_body"])
+    matrix(state["ned_from_body"], state["dcm"])
     state["field_ut"] = norm
     state["heading_source"] = 1
     state["covariance"][2, 2] = HEADING_SIGMA_RAD**2
@@ -77,7 +71,7 @@ def correct(settings: Record, state: Record, mag: Floats, dt_s: float) -> None:
     if abs(norm - state["field_ut"]) > FIELD_TOLERANCE * state["field_ut"]:
         return
     correction = np.zeros(ERROR_STATES)
-    error = _azimuth_error(state["ned_from_body"], mag, settings["declination_rad"])
+    error = _azimuth_error(state["dcm"], mag, settings["declination_rad"])
     variance = HEADING_SIGMA_RAD**2 * max(1.0, CORRELATION_S / dt_s)
     correct_state(state["covariance"], correction, 2, error, variance)
     # A magnetic error must not tilt the horizon through the cross terms.
@@ -89,3 +83,4 @@ def correct(settings: Record, state: Record, mag: Floats, dt_s: float) -> None:
         state["force_ned_m_s2"],
         correction,
     )
+    matrix(state["ned_from_body"], state["dcm"])

@@ -90,10 +90,8 @@ def apply_correction(
     q: Floats, gyro_bias: Floats, velocity: Floats, force_ned: Floats, correction: Floats
 ) -> None:
     """Move the correction [9] into the state; the averaged force [3] turns with the attitude."""
-    turn = np.empty(4)
     x, y, z = correction[0], correction[1], correction[2]
-    from_rotation_vector(x, y, z, turn)
-    multiply(turn, q, q)
+    multiply(from_rotation_vector(x, y, z), q, q)
     normalise(q)
     a, b, c = force_ned[0], force_ned[1], force_ned[2]
     force_ned[0] = a + y * c - z * b

@@ -66,7 +66,6 @@ def hold_at_rest(state: Record, correction: Floats, dt_s: float, rate_sigma: flo
 def bound_velocity(
     settings: Record,
     state: Record,
-    ned_from_body: Floats,
     airframe: int,
     correction: Floats,
     dt_s: float,
@@ -77,7 +76,7 @@ def bound_velocity(
     for i in range(3):
         along = 0.0
         for j in range(3):
-            axis[j] = ned_from_body[j, i]
+            axis[j] = state["dcm"][j, i]
             along += axis[j] * velocity[j]
         expected = settings["forward_speed_m_s"][airframe] if i == 0 else 0.0
         sigma = settings["velocity_sigma_m_s"][airframe, i]

@@ -7,8 +7,6 @@ so a fast IMU costs little more than a slow one.
 import math
 from typing import Final
 
-import numpy as np
-
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.fusion import strapdown
 from ahrs_service.fusion.alignment import bound_attitude
@@ -50,11 +48,12 @@ def move(
     The rate between two samples is known to half of what it changed, so a slow or irregular
     stream widens the covariance by itself.
     """
-    rate = np.empty(3)
+    before, rate = state["rate_before_rad_s"], state["rate_rad_s"]
     change2 = rate2 = 0.0
     for i in range(3):
+        before[i] = rate[i]
         rate[i] = gyro[i] - state["gyro_bias_rad_s"][i]
-        change2 += (rate[i] - state["rate_rad_s"][i]) ** 2
+        change2 += (rate[i] - before[i]) ** 2
         rate2 += rate[i] * rate[i]
     state["turn_angle_variance"] += settings["gyro_scale_error_rts"] ** 2 * rate2 * dt_s
     if flags & _GAP:
@@ -62,19 +61,18 @@ def move(
     else:
         state["turn_angle_variance"] += change2 * dt_s * dt_s / 48.0
         share = settings["gyro_share"]
-        strapdown.rotate(state["ned_from_body"], state["rate_rad_s"], rate, dt_s, share)
+        strapdown.rotate(state["ned_from_body"], before, rate, dt_s, share)
     _smooth_rate(settings, state, rate, dt_s)
-    ned_from_body = np.empty((3, 3))
-    matrix(state["ned_from_body"], ned_from_body)
+    dcm = state["dcm"]
+    matrix(state["ned_from_body"], dcm)
     for i in range(3):
-        state["rate_rad_s"][i] = rate[i]
         for j in range(3):
-            state["turn_rotation_s"][i, j] += ned_from_body[i, j] * dt_s
+            state["turn_rotation_s"][i, j] += dcm[i, j] * dt_s
     state["turn_s"] += dt_s
     if flags & (_GAP | _ACCEL_MISSING):
         state["turn_velocity_variance"] += (GAP_FORCE_SIGMA_M_S2 * dt_s) ** 2
     else:
-        _move_velocity(settings, state, airframe, ned_from_body, accel, dt_s)
+        _move_velocity(settings, state, airframe, accel, dt_s)
 
 
 @kernel
@@ -92,7 +90,6 @@ def _move_velocity(
     settings: Record,
     state: Record,
     airframe: int,
-    ned_from_body: Floats,
     accel: Floats,
     dt_s: float,
 ) -> None:
@@ -102,7 +99,7 @@ def _move_velocity(
     for i in range(3):
         force = 0.0
         for j in range(3):
-            force += ned_from_body[i, j] * accel[j]
+            force += state["dcm"][i, j] * accel[j]
         norm2 += force * force
         state["force_ned_m_s2"][i] += weight * (force - state["force_ned_m_s2"][i])
         state["turn_impulse_m_s"][i] += force * dt_s

@@ -2,8 +2,6 @@
 
 from typing import Final
 
-import numpy as np
-
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats
 from ahrs_service.rotation import from_rotation_vector, multiply, normalise
@@ -37,9 +35,7 @@ def rotate(q: Floats, rate_before: Floats, rate: Floats, dt_s: float, share: flo
         + new * rate[2]
         + coning * (rate_before[0] * rate[1] - rate_before[1] * rate[0])
     )
-    turn = np.empty(4)
-    from_rotation_vector(x, y, z, turn)
-    multiply(q, turn, q)
+    multiply(q, from_rotation_vector(x, y, z), q)
     normalise(q)
 
 
