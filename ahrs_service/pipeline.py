@@ -59,6 +59,7 @@ PARAMETERS_DTYPE: Final = np.dtype(
         ("forward_speed_m_s", "f8", len(Airframe)),
         ("velocity_sigma_m_s", "f8", (len(Airframe), 3)),
         ("velocity_correlation_s", "f8", (len(Airframe), 3)),
+        ("accel_noise_m_s2", "f8", len(Airframe)),
         ("velocity_noise_m_s_rts", "f8", len(Airframe)),
         ("accel_scale_error", "f8", len(Airframe)),
         ("gate_norm_m_s2", "f8"),
@@ -73,7 +74,6 @@ PARAMETERS_DTYPE: Final = np.dtype(
         ("gyro_bias_sigma_rad_s", "f8"),
         ("gyro_rest_sigma_rad_s", "f8"),
         ("gyro_scale_error_rts", "f8"),
-        ("accel_noise_m_s2", "f8"),
         ("alignment_s", "f8"),
         ("gap_s", "f8"),
         ("declination_rad", "f8"),
@@ -191,14 +191,14 @@ def _norm(v: Floats) -> float:
 
 
 @kernel
-def _judge(settings: Record, state: Record, dt_s: float, flags: int) -> None:
+def _judge(settings: Record, state: Record, airframe: int, dt_s: float, flags: int) -> None:
     """Judge the averaged force by the gates; reasons, metrics and innovation go into the state."""
     metrics, tilt, p = state["gate_metrics"], state["tilt_innovation_rad"], state["covariance"]
     metrics[0] = abs(_norm(state["force_ned_m_s2"]) - STANDARD_GRAVITY_M_S2)
     metrics[1] = _norm(state["smooth_rate_rad_s"])
     metrics[2] = _norm(state["angular_acceleration_rad_s2"])
     mekf.tilt_from_force(state["force_ned_m_s2"], tilt)
-    spread2 = max(p[0, 0], p[1, 1]) + _gravity_variance(settings)
+    spread2 = max(p[0, 0], p[1, 1]) + _gravity_variance(settings, airframe)
     metrics[3] = math.sqrt((tilt[0] * tilt[0] + tilt[1] * tilt[1]) / spread2)
     reasons = gating.motion_reasons(
         metrics,
@@ -220,8 +220,8 @@ def _judge(settings: Record, state: Record, dt_s: float, flags: int) -> None:
 
 
 @kernel
-def _gravity_variance(settings: Record) -> float:
-    return float((settings["accel_noise_m_s2"] / STANDARD_GRAVITY_M_S2) ** 2)
+def _gravity_variance(settings: Record, airframe: int) -> float:
+    return float((settings["accel_noise_m_s2"][airframe] / STANDARD_GRAVITY_M_S2) ** 2)
 
 
 @kernel
@@ -229,10 +229,10 @@ def _turn(settings: Record, state: Record, airframe: int, flags: int) -> None:
     """Propagate the covariance, then correct by all that is known of the vehicle's motion."""
     dt_s = propagation.grow(settings, state)
     correction = np.zeros(strapdown.ERROR_STATES)
-    _judge(settings, state, dt_s, flags)
+    _judge(settings, state, airframe, dt_s, flags)
     aligning = state["phase"] == _ALIGNING and flags & (_SATURATED | _ACCEL_MISSING) == 0
     if state["gate"] == 0 or aligning:
-        variance = _gravity_variance(settings)
+        variance = _gravity_variance(settings, airframe)
         if aligning:
             variance += (state["gate_metrics"][0] / STANDARD_GRAVITY_M_S2) ** 2
         variance *= ACCEL_CORRELATION_S / min(dt_s, LONGEST_AVERAGE_S)
@@ -240,7 +240,7 @@ def _turn(settings: Record, state: Record, airframe: int, flags: int) -> None:
             measured = state["tilt_innovation_rad"][axis]
             mekf.correct_state(state["covariance"], correction, axis, measured, variance)
     if settings["use_velocity"] != 0:
-        if state["rest_s"] > rest.CONFIRM_S:
+        if motion.come_to_rest(state):
             motion.hold_at_rest(state, correction, dt_s, settings["gyro_rest_sigma_rad_s"])
         else:
             motion.bound_velocity(settings, state, airframe, correction, dt_s)

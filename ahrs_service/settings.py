@@ -68,7 +68,6 @@ class FusionSettings:
     gyro_bias_sigma_rad_s: _Positive = 0.02
     gyro_scale_error_rts: _NotNegative = 0.005
     gyro_rest_sigma_rad_s: _Positive = 0.02
-    accel_noise_m_s2: _Positive = 0.5
     use_airspeed: bool = True
     alignment_s: _Positive = 1.0
     gap_s: _Positive = 0.5
@@ -81,7 +80,8 @@ class AirframeSettings:
     """How a class of vehicle can move: its velocity through the air, along body x, y, z.
 
     `forward_speed_m_s` the usual speed along x [m/s]; per axis the 1-sigma about it (about 0 for y
-    and z) [m/s], and how long a deviation lasts [s]. `velocity_noise_m_s_rts` is what noise and
+    and z) [m/s], and how long a deviation lasts [s]. `accel_noise_m_s2` is what accelerates the
+    vehicle while the gates are open [m/s^2], `velocity_noise_m_s_rts` what noise and
     vibration of the accelerometer add to the velocity [m/s per sqrt(s)], `accel_scale_error` what
     its scale does, as a share of the force beyond 1 g.
     """
@@ -90,15 +90,16 @@ class AirframeSettings:
     forward_speed_m_s: _NotNegative
     velocity_sigma_m_s: tuple[_Positive, _Positive, _Positive]
     velocity_correlation_s: tuple[_Positive, _Positive, _Positive]
+    accel_noise_m_s2: _Positive = 0.7
     velocity_noise_m_s_rts: _Positive = 0.7
     accel_scale_error: _NotNegative = 0.1
 
 
-FIXED_WING = AirframeSettings(10.0, (10.0, 1.5, 1.5), (60.0, 2.0, 2.0))
+FIXED_WING = AirframeSettings(10.0, (10.0, 1.5, 1.5), (60.0, 2.0, 2.0), 1.0)
 """Small fixed wings fly at 8 to 25 m/s, with the nose in the flow to about 5 deg."""
 MULTIROTOR = AirframeSettings(0.0, (3.0, 3.0, 1.5), (5.0, 5.0, 5.0))
 """Hover and slow flight; leaning into the wind the air speed is along x and y."""
-HAND_HELD = AirframeSettings(0.0, (1.0, 1.0, 1.0), (0.5, 0.5, 0.5), 0.3, 0.02)
+HAND_HELD = AirframeSettings(0.0, (1.0, 1.0, 1.0), (0.5, 0.5, 0.5), 0.5, 0.3, 0.02)
 """A hand moves to and fro within an arm's length, at 1 to 2 m/s, and shakes little."""
 OTHER = AirframeSettings(0.0, (8.0, 8.0, 3.0), (10.0, 10.0, 10.0))
 """Anything small: rovers, boats."""

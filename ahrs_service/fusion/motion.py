@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.fusion.mekf import correct_body_velocity, correct_state
+from ahrs_service.fusion.rest import CONFIRM_S
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Airframe, Floats, Record
 
@@ -19,9 +20,12 @@ MOTION_FIELDS: Final = [
     ("velocity_ned_m_s", "f8", 3),
     ("airspeed_m_s", "f8"),
     ("airspeed_time_ns", "i8"),
+    ("at_rest", "i8"),
 ]
 """Fields of the pipeline's state that this module keeps."""
 
+WIND_SIGMA_M_S: Final = 5.0
+"""Velocity is that over ground at rest and through the air in flight; the wind lies between."""
 REST_VELOCITY_SIGMA_M_S: Final = 0.1
 REST_VELOCITY_CORRELATION_S: Final = 0.1
 REST_RATE_CORRELATION_S: Final = 0.2
@@ -44,6 +48,17 @@ def hear_airspeed(state: Record, sample: Record) -> None:
     if math.isfinite(sample["airspeed_m_s"]):
         state["airspeed_m_s"] = sample["airspeed_m_s"]
         state["airspeed_time_ns"] = sample["time_ns"]
+
+
+@kernel
+def come_to_rest(state: Record) -> bool:
+    """Return whether the vehicle is at rest; a change of that brings the wind into the velocity."""
+    at_rest = state["rest_s"] > CONFIRM_S
+    if at_rest != (state["at_rest"] != 0):
+        state["at_rest"] = 1 if at_rest else 0
+        for i in range(2):
+            state["covariance"][6 + i, 6 + i] += WIND_SIGMA_M_S**2
+    return bool(at_rest)
 
 
 @kernel
