@@ -113,11 +113,13 @@ class Estimator:
         cut = len(_STATE_MARK) + intake.STATE_DTYPE.itemsize
         intake_state = np.frombuffer(saved[len(_STATE_MARK) : cut], intake.STATE_DTYPE).copy()
         pipeline_state = np.frombuffer(saved[cut:], pipeline.STATE_DTYPE).copy()
-        # The kernels index by the source without a check, so it must be one that exists.
-        source, phase = int(intake_state["source"][0]), int(pipeline_state["phase"][0])
-        if source not in list(ImuSource) or phase not in list(Phase):
+        # The kernels index by source and vehicle without a check, so both must exist.
+        source, vehicle = int(intake_state["source"][0]), int(intake_state["vehicle"][0])
+        phase = int(pipeline_state["phase"][0])
+        known = source in list(ImuSource) and phase in list(Phase) and 0 <= vehicle <= 255
+        if not known:
             raise StateError(
-                f"saved state is damaged (IMU source {source}, phase {phase}); "
+                f"saved state is damaged (IMU source {source}, vehicle {vehicle}, phase {phase}); "
                 "start from the beginning of the recording instead"
             )
         self._intake_state, self._pipeline_state = intake_state, pipeline_state

@@ -46,6 +46,8 @@ if not os.environ.get("NUMBA_CACHE_DIR"):
 def kernel(function: _Function) -> _Function:
     """Compile `function` on first call and cache it: strict IEEE, one thread, no fast-math.
 
+    A division by zero gives an infinity and raises nothing: a flight goes on.
+
     Undecorated, or with NUMBA_DISABLE_JIT=1, it gives the same bytes.
     """
-    return cast(_Function, numba.njit(cache=True)(function))
+    return cast(_Function, numba.njit(cache=True, error_model="numpy")(function))

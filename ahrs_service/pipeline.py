@@ -51,6 +51,9 @@ LONGEST_AVERAGE_S: Final = 0.5
 """However long a gap was, the sample after it is one sample [s]."""
 DOUBT_RAD_RTS: Final = 0.05
 """How fast the tilt variance grows while only the innovation speaks against it [rad/sqrt(s)]."""
+IMPOSSIBLE_RATE_RAD_S: Final = 1000.0
+IMPOSSIBLE_FORCE_M_S2: Final = 1e4
+"""No sensor measures this; NaN and infinity are not below it either."""
 SPIKE_RATE_RAD_S: Final = 10.0
 """No airframe changes its rate by this much between two samples [rad/s]."""
 
@@ -163,8 +166,8 @@ def _check_sensors(
     clipped = False
     jump2 = 0.0
     for i in range(3):
-        gyro_finite = gyro_finite and math.isfinite(gyro[i])
-        accel_finite = accel_finite and math.isfinite(accel[i])
+        gyro_finite = gyro_finite and abs(gyro[i]) < IMPOSSIBLE_RATE_RAD_S
+        accel_finite = accel_finite and abs(accel[i]) < IMPOSSIBLE_FORCE_M_S2
         clipped = clipped or abs(sample["gyro_rad_s"][i]) >= settings["gyro_range_rad_s"]
         clipped = clipped or abs(sample["accel_m_s2"][i]) >= settings["accel_range_m_s2"]
         jump2 += (gyro[i] - state["rate_rad_s"][i] - state["gyro_bias_rad_s"][i]) ** 2
@@ -297,7 +300,13 @@ def _realign_if_lost(
         return flags
     if lost:
         flags |= _REALIGNED
-    airframe = _airframe(settings, sample)
+    _begin(settings, state, _airframe(settings, sample))
+    return flags
+
+
+@kernel
+def _begin(settings: Record, state: Record, airframe: int) -> None:
+    """Begin to align."""
     speed_sigma = settings["velocity_sigma_m_s"][airframe, 0]
     alignment.start(
         state,
@@ -306,7 +315,6 @@ def _realign_if_lost(
     )
     propagation.begin_turn(state)
     state["phase"] = _ALIGNING
-    return flags
 
 
 @kernel
@@ -365,6 +373,9 @@ def _move(
         rest.follow(state, gyro, accel, dt_s, settings["gyro_rest_sigma_rad_s"])
     if state["turn_s"] >= propagation.TURN_S or flags & _JUDGED_AT_ONCE != 0:
         _turn(settings, state, airframe, flags)
+        if not alignment.is_sound(state):
+            _begin(settings, state, airframe)
+            return
     heading.correct(settings, state, sample["mag_ut"], dt_s)
     if state["phase"] == _ALIGNING and alignment.gather(
         state, gyro, accel, settings["alignment_s"]

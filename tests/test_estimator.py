@@ -120,3 +120,12 @@ def test_another_vehicle_gives_nothing(readings):
     estimator = Estimator(Settings(intake=IntakeSettings(system=99)))
     assert len(estimator.take(readings)) == 0
     assert estimator.intake_state["foreign"][0] == len(readings)
+
+
+@pytest.mark.parametrize("vehicle", [-1, 256, 2**40])
+def test_a_saved_state_of_no_known_vehicle_is_refused(vehicle):
+    """The kernels look the airframe up by it, unchecked."""
+    estimator = Estimator(Settings())
+    estimator.intake_state["vehicle"] = vehicle
+    with pytest.raises(StateError, match=f"vehicle {vehicle}"):
+        Estimator(Settings()).restore(estimator.save())

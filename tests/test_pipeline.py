@@ -364,3 +364,25 @@ def test_heading_follows_the_magnetic_field_and_ignores_a_disturbed_one():
     found = euler_columns(run(samples)["ned_from_body"])[:, 2]
     assert found[1999] == pytest.approx(yaw, abs=1e-3)
     assert found[-1] == pytest.approx(yaw, abs=1e-2)
+
+
+@pytest.mark.parametrize("value", [1e3, 3e38, -np.inf, np.nan])
+def test_impossible_values_move_nothing(value):
+    samples = still(600)
+    samples["gyro_rad_s"][300:310] = value
+    samples["accel_m_s2"][400:410] = 10.0 * value
+    estimates = run(samples)
+    assert (estimates["flags"][300:310] & Flag.NOT_FINITE).all()
+    assert (estimates["flags"][400:410] & Flag.ACCEL_MISSING).all()
+    np.testing.assert_allclose(euler_columns(estimates["ned_from_body"])[350:], 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("field", ["ned_from_body", "covariance", "gyro_bias_rad_s"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_wrecked_state_aligns_anew(field, value):
+    state = pipeline.new_state()
+    run(still(400), state)
+    state[field] = value
+    estimate = run(still(1000, roll=0.3)[400:], state)[-1]
+    assert estimate["phase"] == Phase.RUNNING
+    assert euler_columns(estimate["ned_from_body"])[0] == pytest.approx(0.3, abs=0.02)

@@ -55,6 +55,29 @@ def start(state: Record, bias_sigma_rad_s: float, velocity_sigma_m_s: float) -> 
 
 
 @kernel
+def is_sound(state: Record) -> bool:
+    """Return whether the state can be gone on with; where not, its wrecks are cleared away.
+
+    Damaged saved bytes can bring a state here that no flight does: not finite, or of no variance.
+    """
+    q = state["ned_from_body"]
+    sound = abs(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] - 1.0) < 1e-6
+    for i in range(ERROR_STATES):
+        sound = sound and 0.0 < state["covariance"][i, i] < math.inf
+    for i in range(3):
+        sound = sound and abs(state["gyro_bias_rad_s"][i]) < math.inf
+        sound = sound and abs(state["velocity_ned_m_s"][i]) < math.inf
+        sound = sound and abs(state["force_ned_m_s2"][i]) < math.inf
+        sound = sound and abs(state["smooth_rate_rad_s"][i]) < math.inf
+    if not sound:
+        for i in range(4):
+            q[i] = 1.0 if i == 0 else 0.0
+        for i in range(3):
+            state["gyro_bias_rad_s"][i] = 0.0
+    return bool(sound)
+
+
+@kernel
 def first_attitude(state: Record, gyro: Floats, accel: Floats) -> None:
     """Set roll and pitch from one specific force [3] [m/s^2]; the heading is kept, 0 at first."""
     before = np.empty(3)

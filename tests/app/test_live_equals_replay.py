@@ -18,7 +18,13 @@ from ahrs_service.app.config_file import to_json
 from ahrs_service.app.replay_log import replay_log
 from ahrs_service.estimator import Estimator, StateError
 from ahrs_service.records import Gate, Phase
-from ahrs_service.settings import IntakeSettings, LinkSettings, RecorderSettings, Settings
+from ahrs_service.settings import (
+    GateSettings,
+    IntakeSettings,
+    LinkSettings,
+    RecorderSettings,
+    Settings,
+)
 from links.mavlink_codec import Decoder, Encoder, dialect
 from links.readings import recording_from_tlog
 from links.session_marks import MarkKind, mark_messages
@@ -30,7 +36,11 @@ MARK_IDS = {int(kind) for kind in MarkKind}
 
 
 def recorded_in(path: Path, **more: Any) -> Settings:
-    return Settings(recorder=RecorderSettings(directory=str(path), **more))
+    """Settings of a recorded session; a tight innovation gate makes a calm flight meet it too."""
+    return Settings(
+        gate=GateSettings(innovation_sigma=1.5),
+        recorder=RecorderSettings(directory=str(path), **more),
+    )
 
 
 def frames_in(path: Path) -> list[bytes]:
@@ -250,7 +260,7 @@ def test_the_recording_of_a_recording_that_is_played(
     every_frame = live.frames_of(log, np.ones(len(log.frames), bool))
     served = asyncio.run(scenario(recorded_in(second), every_frame))
     result = assert_replays(served, second)
-    assert result.settings.gate == Settings().gate
+    assert result.settings.gate == recorded_in(second).gate
 
 
 @pytest.fixture(scope="module")
