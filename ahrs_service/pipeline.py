@@ -14,6 +14,7 @@ import numpy as np
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.fusion import (
+    aiding,
     alignment,
     gating,
     heading,
@@ -65,6 +66,19 @@ PARAMETERS_DTYPE: Final = np.dtype(
         ("accel_noise_m_s2", "f8", len(Airframe)),
         ("velocity_noise_m_s_rts", "f8", len(Airframe)),
         ("accel_scale_error", "f8", len(Airframe)),
+        ("accel_bias_sigma", "f8", len(Airframe)),
+        ("accel_bias_walk", "f8", len(Airframe)),
+        ("gyro_matrix_sigma", "f8", len(Airframe)),
+        ("drag_s", "f8", (len(Airframe), 3)),
+        ("drag_error", "f8", len(Airframe)),
+        ("climb_sigma_m_s", "f8", len(Airframe)),
+        ("climb_correlation_s", "f8", len(Airframe)),
+        ("vibration_noise", "f8", len(Airframe)),
+        ("velocity_limit", "f8"),
+        ("velocity_lag_s", "f8"),
+        ("wind_walk", "f8"),
+        ("velocity_aid_factor", "f8"),
+        ("use_velocity_aiding", "i8"),
         ("gate_norm_m_s2", "f8"),
         ("gate_rate_rad_s", "f8"),
         ("gate_angular_acceleration_rad_s2", "f8"),
@@ -96,12 +110,16 @@ STATE_DTYPE: Final = np.dtype(
         *propagation.PROPAGATION_FIELDS,
         *rest.REST_FIELDS,
         *motion.MOTION_FIELDS,
+        *aiding.AIDING_FIELDS,
         ("ned_from_body", "f8", 4),
         ("dcm", "f8", (3, 3)),
         ("gyro_rad_s", "f8", 3),
         ("accel_m_s2", "f8", 3),
         ("rate_before_rad_s", "f8", 3),
         ("gyro_bias_rad_s", "f8", 3),
+        ("accel_bias_m_s2", "f8", 3),
+        ("gyro_matrix", "f8", (3, 3)),
+        ("states", "i8"),
         ("covariance", "f8", (strapdown.ERROR_STATES, strapdown.ERROR_STATES)),
         ("rate_rad_s", "f8", 3),
         ("smooth_rate_rad_s", "f8", 3),
@@ -230,30 +248,30 @@ def _gravity_variance(settings: Record, airframe: int) -> float:
 @kernel
 def _turn(settings: Record, state: Record, airframe: int, flags: int) -> None:
     """Propagate the covariance, then correct by all that is known of the vehicle's motion."""
-    dt_s = propagation.grow(settings, state)
+    dt_s = propagation.grow(settings, state, airframe)
     correction = np.zeros(strapdown.ERROR_STATES)
     _judge(settings, state, airframe, dt_s, flags)
     aligning = state["phase"] == _ALIGNING and flags & (_SATURATED | _ACCEL_MISSING) == 0
-    if state["gate"] == 0 or aligning:
+    at_rest = state["at_rest"] != 0 and settings["use_velocity"] != 0
+    if (state["gate"] == 0 and not at_rest) or aligning:
         variance = _gravity_variance(settings, airframe)
         if aligning:
             variance += (state["gate_metrics"][0] / STANDARD_GRAVITY_M_S2) ** 2
         variance *= ACCEL_CORRELATION_S / min(dt_s, LONGEST_AVERAGE_S)
         for axis in range(2):
             measured = state["tilt_innovation_rad"][axis]
-            mekf.correct_state(state["covariance"], correction, axis, measured, variance)
+            mekf.correct_tilt(state["covariance"], correction, state["states"], state["dcm"], axis, measured, variance)
     if settings["use_velocity"] != 0:
         if motion.come_to_rest(state):
             motion.hold_at_rest(state, correction, dt_s, settings["gyro_rest_sigma_rad_s"])
         else:
             motion.bound_velocity(settings, state, airframe, correction, dt_s)
-    mekf.apply_correction(
-        state["ned_from_body"],
-        state["gyro_bias_rad_s"],
-        state["velocity_ned_m_s"],
-        state["force_ned_m_s2"],
-        correction,
-    )
+        if settings["use_velocity_aiding"] != 0:
+            aiding.remember(state)
+            aiding.correct_velocity(settings, state, airframe, correction)
+            aiding.shift(state, correction)
+    propagation.begin_turn(state)
+    mekf.apply_correction(state, state["states"], correction)
     matrix(state["ned_from_body"], state["dcm"])
 
 
@@ -312,7 +330,16 @@ def _begin(settings: Record, state: Record, airframe: int) -> None:
         state,
         settings["gyro_bias_sigma_rad_s"],
         max(settings["forward_speed_m_s"][airframe], speed_sigma),
+        settings["accel_bias_sigma"][airframe],
+        settings["gyro_matrix_sigma"][airframe],
     )
+    state["states"] = 6
+    if settings["use_velocity"]:
+        state["states"] = 9
+        if settings["accel_bias_sigma"][airframe] > 0.0:
+            state["states"] = 12
+        if settings["gyro_matrix_sigma"][airframe] > 0.0:
+            state["states"] = 21
     propagation.begin_turn(state)
     state["phase"] = _ALIGNING
 
@@ -360,6 +387,8 @@ def _move(
 ) -> None:
     """Take one good sample: integrate, and at the end of a turn correct."""
     motion.hear_airspeed(state, sample)
+    if settings["use_velocity_aiding"] != 0:
+        aiding.hear_velocity(state, sample)
     if state["aligned_samples"] == 0:
         if flags & _ACCEL_MISSING == 0:
             alignment.first_attitude(state, gyro, accel)
@@ -368,6 +397,8 @@ def _move(
     if dt_s <= 0.0:
         return
     airframe = _airframe(settings, sample)
+    for i in range(3):
+        accel[i] -= state["accel_bias_m_s2"][i]
     propagation.move(settings, state, airframe, gyro, accel, dt_s, flags)
     if flags & _ACCEL_MISSING == 0:
         rest.follow(state, gyro, accel, dt_s, settings["gyro_rest_sigma_rad_s"])

@@ -68,6 +68,11 @@ class FusionSettings:
     gyro_bias_sigma_rad_s: _Positive = 0.02
     gyro_scale_error_rts: _NotNegative = 0.005
     gyro_rest_sigma_rad_s: _Positive = 0.02
+    velocity_limit: _Positive = 1e3
+    wind_walk: _NotNegative = 0.1
+    velocity_lag_s: _NotNegative = 0.2
+    velocity_aid_factor: _Positive = 1.0
+    use_velocity_aiding: bool = True
     use_airspeed: bool = True
     alignment_s: _Positive = 1.0
     gap_s: _Positive = 0.5
@@ -93,6 +98,14 @@ class AirframeSettings:
     accel_noise_m_s2: _Positive = 0.7
     velocity_noise_m_s_rts: _Positive = 0.7
     accel_scale_error: _NotNegative = 0.1
+    accel_bias_sigma: _NotNegative = 0.0
+    accel_bias_walk: _NotNegative = 0.0
+    gyro_matrix_sigma: _NotNegative = 0.0
+    drag_s: tuple[_NotNegative, _NotNegative, _NotNegative] = (0.0, 0.0, 0.0)
+    vibration_noise: _NotNegative = 0.0
+    drag_error: _NotNegative = 0.3
+    climb_sigma_m_s: _NotNegative = 0.0
+    climb_correlation_s: _NotNegative = 10.0
 
 
 FIXED_WING = AirframeSettings(10.0, (10.0, 1.5, 1.5), (60.0, 2.0, 2.0), 1.0)

@@ -35,7 +35,7 @@ REST_BIAS_SIGMA_RAD_S: Final = 0.002
 
 
 @kernel
-def start(state: Record, bias_sigma_rad_s: float, velocity_sigma_m_s: float) -> None:
+def start(state: Record, bias_sigma_rad_s: float, velocity_sigma_m_s: float, accel_bias_sigma: float, matrix_sigma: float) -> None:
     """Forget attitude and velocity and begin to align; the gyro bias found so far is kept."""
     p = state["covariance"]
     for i in range(ERROR_STATES):
@@ -46,6 +46,11 @@ def start(state: Record, bias_sigma_rad_s: float, velocity_sigma_m_s: float) -> 
     for i in range(3):
         p[3 + i, 3 + i] = bias_sigma_rad_s**2
         p[6 + i, 6 + i] = velocity_sigma_m_s**2
+        p[9 + i, 9 + i] = accel_bias_sigma**2
+        for j in range(3):
+            p[12 + 3 * i + j, 12 + 3 * i + j] = matrix_sigma**2
+        if i < 2:
+            p[21 + i, 21 + i] = 25.0
         state["velocity_ned_m_s"][i] = 0.0
         state["gyro_sum_rad_s"][i] = 0.0
         state["gyro_square_sum"][i] = 0.0
@@ -63,7 +68,7 @@ def is_sound(state: Record) -> bool:
     q = state["ned_from_body"]
     sound = abs(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] - 1.0) < 1e-6
     for i in range(ERROR_STATES):
-        sound = sound and 0.0 < state["covariance"][i, i] < math.inf
+        sound = sound and 0.0 <= state["covariance"][i, i] < math.inf
     for i in range(3):
         sound = sound and abs(state["gyro_bias_rad_s"][i]) < math.inf
         sound = sound and abs(state["velocity_ned_m_s"][i]) < math.inf

@@ -73,14 +73,8 @@ def correct(settings: Record, state: Record, mag: Floats, dt_s: float) -> None:
     correction = np.zeros(ERROR_STATES)
     error = _azimuth_error(state["dcm"], mag, settings["declination_rad"])
     variance = HEADING_SIGMA_RAD**2 * max(1.0, CORRELATION_S / dt_s)
-    correct_state(state["covariance"], correction, 2, error, variance)
+    correct_state(state["covariance"], correction, state["states"], 2, error, variance)
     # A magnetic error must not tilt the horizon through the cross terms.
     correction[0] = correction[1] = 0.0
-    apply_correction(
-        state["ned_from_body"],
-        state["gyro_bias_rad_s"],
-        state["velocity_ned_m_s"],
-        state["force_ned_m_s2"],
-        correction,
-    )
+    apply_correction(state, state["states"], correction)
     matrix(state["ned_from_body"], state["dcm"])

@@ -11,8 +11,10 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.fusion.mekf import correct_body_velocity, correct_state
+from ahrs_service.fusion.mekf import correct_body_velocity, correct_state, correct_tilt
+from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.fusion.rest import CONFIRM_S
+from ahrs_service.fusion.strapdown import WIND
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Airframe, Floats, Record
 
@@ -21,6 +23,7 @@ MOTION_FIELDS: Final = [
     ("airspeed_m_s", "f8"),
     ("airspeed_time_ns", "i8"),
     ("at_rest", "i8"),
+    ("velocity_nis", "f8", 3),
 ]
 """Fields of the pipeline's state that this module keeps."""
 
@@ -29,6 +32,9 @@ WIND_SIGMA_M_S: Final = 5.0
 REST_VELOCITY_SIGMA_M_S: Final = 0.1
 REST_VELOCITY_CORRELATION_S: Final = 0.1
 REST_RATE_CORRELATION_S: Final = 0.2
+LONG_REST_S: Final = 5.0
+REST_FORCE_FLOOR_M_S2: Final = 0.02
+REST_FORCE_CORRELATION_S: Final = 0.4
 REST_BIAS_GATE: Final = 3.0
 REST_BIAS_FLOOR_RAD_S: Final = 0.01
 """A bias may step by this between power-on and flight and is still learnt [rad/s]."""
@@ -51,12 +57,29 @@ def hear_airspeed(state: Record, sample: Record) -> None:
 
 
 @kernel
+def _is_known_to_move(state: Record) -> bool:
+    """Return whether a speed is measured or known that a vehicle at rest does not have."""
+    now = state["time_ns"]
+    if now - state["airspeed_time_ns"] < AIRSPEED_VALID_NS and state["airspeed_m_s"] > 6.0:
+        return True
+    if now - state["measured_time_ns"] < 1_500_000_000:
+        v = state["measured_velocity_m_s"]
+        if v[0] * v[0] + v[1] * v[1] > 4.0:
+            return True
+    for i in range(3):
+        v2 = state["velocity_ned_m_s"][i] ** 2
+        if v2 > 25.0 * state["covariance"][6 + i, 6 + i]:
+            return True
+    return False
+
+
+@kernel
 def come_to_rest(state: Record) -> bool:
     """Return whether the vehicle is at rest; a change of that brings the wind into the velocity."""
-    at_rest = state["rest_s"] > CONFIRM_S
+    at_rest = state["rest_s"] > CONFIRM_S and not _is_known_to_move(state)
     if at_rest != (state["at_rest"] != 0):
         state["at_rest"] = 1 if at_rest else 0
-        for i in range(2):
+        for i in range(2 if state["states"] <= WIND else 0):
             state["covariance"][6 + i, 6 + i] += WIND_SIGMA_M_S**2
     return bool(at_rest)
 
@@ -68,13 +91,21 @@ def hold_at_rest(state: Record, correction: Floats, dt_s: float, rate_sigma: flo
     slow = max(1.0, REST_VELOCITY_CORRELATION_S / dt_s)
     for i in range(3):
         velocity = state["velocity_ned_m_s"][i]
-        correct_state(p, correction, 6 + i, -velocity, REST_VELOCITY_SIGMA_M_S**2 * slow)
+        correct_state(p, correction, state["states"], 6 + i, -velocity, REST_VELOCITY_SIGMA_M_S**2 * slow)
+    force2 = state["force_variance"] / 3.0 + REST_FORCE_FLOOR_M_S2**2
+    slow = max(1.0, REST_FORCE_CORRELATION_S / dt_s)
+    for axis in range(2):
+        measured = state["tilt_innovation_rad"][axis]
+        variance = force2 / STANDARD_GRAVITY_M_S2**2 * slow
+        correct_tilt(p, correction, state["states"], state["dcm"], axis, measured, variance)
     slow = max(1.0, REST_RATE_CORRELATION_S / dt_s)
     for i in range(3):
         rate = state["mean_rate_rad_s"][i] - state["gyro_bias_rad_s"][i]
         bound2 = p[3 + i, 3 + i] + REST_BIAS_FLOOR_RAD_S**2
+        if rate * rate > REST_BIAS_GATE**2 * p[3 + i, 3 + i] and state["rest_s"] > LONG_REST_S:
+            p[3 + i, 3 + i] += rate * rate / REST_BIAS_GATE**2 * dt_s
         if rate * rate < REST_BIAS_GATE**2 * bound2:
-            correct_state(p, correction, 3 + i, rate, rate_sigma**2 * slow)
+            correct_state(p, correction, state["states"], 3 + i, rate, rate_sigma**2 * slow)
 
 
 @kernel
@@ -92,17 +123,31 @@ def bound_velocity(
         along = 0.0
         for j in range(3):
             axis[j] = state["dcm"][j, i]
-            along += axis[j] * velocity[j]
+            along += axis[j] * (velocity[j] - (state["wind_m_s"][j] if j < 2 else 0.0))
         expected = settings["forward_speed_m_s"][airframe] if i == 0 else 0.0
         sigma = settings["velocity_sigma_m_s"][airframe, i]
         correlation_s = settings["velocity_correlation_s"][airframe, i]
         if i == 0 and _airspeed_is_usable(settings, state, airframe):
             expected = state["airspeed_m_s"]
             sigma, correlation_s = AIRSPEED_SIGMA_M_S, AIRSPEED_CORRELATION_S
+        drag_s = settings["drag_s"][airframe, i]
+        if drag_s > 0.0 and state["turn_force_s"] > 0.0:
+            force = state["turn_force_m_s"][i] / state["turn_force_s"]
+            lift = -STANDARD_GRAVITY_M_S2 if i == 2 else 0.0
+            expected -= drag_s * (force - lift)
+            extra = settings["drag_error"][airframe] * drag_s * (force - lift)
+            sigma = math.sqrt(sigma * sigma + extra * extra)
+        else:
+            drag_s = 0.0
         variance = sigma * sigma * max(1.0, correlation_s / dt_s)
-        correct_body_velocity(
-            state["covariance"], correction, axis, velocity, expected - along, variance
+        state["velocity_nis"][i] = correct_body_velocity(
+            state["covariance"], correction, state["states"], axis, velocity, expected - along, variance, drag_s, i,
+            settings["velocity_limit"],
         )
+    sigma = settings["climb_sigma_m_s"][airframe]
+    if sigma > 0.0:
+        variance = sigma * sigma * max(1.0, settings["climb_correlation_s"][airframe] / dt_s)
+        correct_state(state["covariance"], correction, state["states"], 8, -velocity[2], variance)
 
 
 @kernel

@@ -18,6 +18,9 @@ PROPAGATION_FIELDS: Final = [
     ("turn_s", "f8"),
     ("turn_rotation_s", "f8", (3, 3)),
     ("turn_impulse_m_s", "f8", 3),
+    ("turn_angle_rad", "f8", 3),
+    ("turn_force_m_s", "f8", 3),
+    ("turn_force_s", "f8"),
     ("turn_angle_variance", "f8"),
     ("turn_velocity_variance", "f8"),
 ]
@@ -53,6 +56,12 @@ def move(
     for i in range(3):
         before[i] = rate[i]
         rate[i] = gyro[i] - state["gyro_bias_rad_s"][i]
+        state["turn_angle_rad"][i] += gyro[i] * dt_s
+    if state["states"] > strapdown.MATRIX:
+        m = state["gyro_matrix"]
+        for i in range(3):
+            rate[i] -= m[i, 0] * gyro[0] + m[i, 1] * gyro[1] + m[i, 2] * gyro[2]
+    for i in range(3):
         change2 += (rate[i] - before[i]) ** 2
         rate2 += rate[i] * rate[i]
     state["turn_angle_variance"] += settings["gyro_scale_error_rts"] ** 2 * rate2 * dt_s
@@ -97,6 +106,9 @@ def _move_velocity(
     weight = dt_s / (settings["smoothing_s"] + dt_s)
     norm2 = 0.0
     for i in range(3):
+        state["turn_force_m_s"][i] += accel[i] * dt_s
+    state["turn_force_s"] += dt_s
+    for i in range(3):
         force = 0.0
         for j in range(3):
             force += state["dcm"][i, j] * accel[j]
@@ -106,24 +118,40 @@ def _move_velocity(
         state["velocity_ned_m_s"][i] += force * dt_s
     state["velocity_ned_m_s"][2] += STANDARD_GRAVITY_M_S2 * dt_s
     excess = settings["accel_scale_error"][airframe] * (math.sqrt(norm2) - STANDARD_GRAVITY_M_S2)
-    noise2 = settings["velocity_noise_m_s_rts"][airframe] ** 2 + excess * excess
+    if state["at_rest"] != 0:
+        noise2 = state["force_variance"] * 0.1
+    else:
+        noise2 = settings["velocity_noise_m_s_rts"][airframe] ** 2 + excess * excess
+        noise2 += settings["vibration_noise"][airframe] ** 2 * state["force_variance"]
     state["turn_velocity_variance"] += noise2 * dt_s
 
 
 @kernel
-def grow(settings: Record, state: Record) -> float:
+def grow(settings: Record, state: Record, airframe: int) -> float:
     """Propagate the covariance over the turn and begin the next; return the turn's length [s]."""
     turn_s = state["turn_s"]
     strapdown.grow_covariance(
         state["covariance"],
+        state["states"],
         state["turn_rotation_s"],
+        state["turn_angle_rad"],
         state["turn_impulse_m_s"],
-        settings["gyro_noise_rad_s_rthz"] ** 2 * turn_s + state["turn_angle_variance"],
-        settings["gyro_bias_walk_rad_s2_rthz"] ** 2 * turn_s,
-        state["turn_velocity_variance"],
+        turn_s,
     )
+    p = state["covariance"]
+    angle = settings["gyro_noise_rad_s_rthz"] ** 2 * turn_s + state["turn_angle_variance"]
+    bias = settings["gyro_bias_walk_rad_s2_rthz"] ** 2 * turn_s
+    force_bias = settings["accel_bias_walk"][airframe] ** 2 * turn_s
+    for i in range(3):
+        p[i, i] += angle
+        p[3 + i, 3 + i] += bias
+        if state["states"] > 6:
+            p[6 + i, 6 + i] += state["turn_velocity_variance"]
+        if state["states"] > 21 and i < 2:
+            p[21 + i, 21 + i] += settings["wind_walk"] ** 2 * turn_s
+        if state["states"] > 9:
+            p[9 + i, 9 + i] += force_bias
     bound_attitude(state["covariance"])
-    begin_turn(state)
     return float(turn_s)
 
 
@@ -133,7 +161,10 @@ def begin_turn(state: Record) -> None:
     state["turn_s"] = 0.0
     state["turn_angle_variance"] = 0.0
     state["turn_velocity_variance"] = 0.0
+    state["turn_force_s"] = 0.0
     for i in range(3):
+        state["turn_angle_rad"][i] = 0.0
+        state["turn_force_m_s"][i] = 0.0
         state["turn_impulse_m_s"][i] = 0.0
         for j in range(3):
             state["turn_rotation_s"][i, j] = 0.0

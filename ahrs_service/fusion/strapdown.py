@@ -6,9 +6,16 @@ from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats
 from ahrs_service.rotation import from_rotation_vector, multiply, normalise
 
-ERROR_STATES: Final = 9
-"""Error angle about north, east, down [rad], gyro bias x, y, z [rad/s], velocity n, e, d [m/s]."""
+ERROR_STATES: Final = 24
+"""Error angle about north, east, down [rad], gyro bias x, y, z [rad/s], velocity n, e, d [m/s],
+accelerometer bias x, y, z [m/s^2], gyro matrix row by row [1], wind n, e [m/s], lag of velocity [s]."""
 
+BIAS: Final = 3
+VELOCITY: Final = 6
+ACCEL_BIAS: Final = 9
+MATRIX: Final = 12
+WIND: Final = 21
+LAG: Final = 23
 
 @kernel
 def rotate(q: Floats, rate_before: Floats, rate: Floats, dt_s: float, share: float) -> None:
@@ -41,32 +48,45 @@ def rotate(q: Floats, rate_before: Floats, rate: Floats, dt_s: float, share: flo
 
 @kernel
 def grow_covariance(
-    p: Floats, rotation_s: Floats, impulse: Floats, angle: float, bias: float, velocity: float
+    p: Floats, states: int, rotation_s: Floats, angle_rad: Floats, impulse: Floats, turn_s: float
 ) -> None:
-    """Propagate the covariance `p` [9, 9] over an interval of integrals.
+    """Propagate the covariance `p` over an interval of integrals, `states` of its rows.
 
-    `rotation_s` [3, 3] is the integral of C_nb [s], `impulse` [3] that of the specific force in
-    earth axes [m/s]. With psi' = psi - rotation_s bias and v' = v + psi x impulse the rows, then
-    the columns are turned; `angle`, `bias`, `velocity` are the variances that noise added.
+    `rotation_s` [3, 3] is the integral of C_nb [s], `angle_rad` [3] that of the measured rate,
+    `impulse` [3] that of the specific force in earth axes [m/s]. The error angle goes on by
+    psi' = psi - rotation_s (bias + matrix rate), the velocity by
+    v' = v + psi x impulse - rotation_s accelerometer_bias.
     """
-    for column in range(ERROR_STATES):
-        _shear(p[:, column], rotation_s, impulse)
-    for row in range(ERROR_STATES):
-        _shear(p[row, :], rotation_s, impulse)
-    for i in range(3):
-        p[i, i] += angle
-        p[3 + i, 3 + i] += bias
-        p[6 + i, 6 + i] += velocity
-    for i in range(ERROR_STATES):
+    gx, gy, gz = angle_rad[0] / turn_s, angle_rad[1] / turn_s, angle_rad[2] / turn_s
+    has_matrix, has_accel_bias = states > MATRIX, states > ACCEL_BIAS
+    has_velocity = states > VELOCITY
+    for j in range(states):
+        _shear(
+            p, j, 1, rotation_s, impulse, gx, gy, gz, has_velocity, has_accel_bias, has_matrix
+        )
+    for i in range(states):
+        _shear(
+            p, i, 0, rotation_s, impulse, gx, gy, gz, has_velocity, has_accel_bias, has_matrix
+        )
+    for i in range(states):
         for j in range(i):
             p[i, j] = p[j, i]
 
 
 @kernel
-def _shear(x: Floats, rotation_s: Floats, impulse: Floats) -> None:
-    """Apply the transition to one error vector [9]; velocity first, by the angle before."""
-    x[6] += x[1] * impulse[2] - x[2] * impulse[1]
-    x[7] += x[2] * impulse[0] - x[0] * impulse[2]
-    x[8] += x[0] * impulse[1] - x[1] * impulse[0]
+def _shear(p, n, column, rotation_s, impulse, gx, gy, gz, has_velocity, has_accel_bias, has_matrix):
+    x = p[:, n] if column else p[n, :]
+    if has_velocity:
+        x[6] += x[1] * impulse[2] - x[2] * impulse[1]
+        x[7] += x[2] * impulse[0] - x[0] * impulse[2]
+        x[8] += x[0] * impulse[1] - x[1] * impulse[0]
+    if has_accel_bias:
+        for i in range(3):
+            x[6 + i] -= rotation_s[i, 0] * x[9] + rotation_s[i, 1] * x[10] + rotation_s[i, 2] * x[11]
+    a, b, c = x[3], x[4], x[5]
+    if has_matrix:
+        a += gx * x[12] + gy * x[13] + gz * x[14]
+        b += gx * x[15] + gy * x[16] + gz * x[17]
+        c += gx * x[18] + gy * x[19] + gz * x[20]
     for i in range(3):
-        x[i] -= rotation_s[i, 0] * x[3] + rotation_s[i, 1] * x[4] + rotation_s[i, 2] * x[5]
+        x[i] -= rotation_s[i, 0] * a + rotation_s[i, 1] * b + rotation_s[i, 2] * c
