@@ -90,9 +90,11 @@ def first_attitude(state: Record, gyro: Floats, accel: Floats) -> None:
     for i in range(3):
         state["rate_rad_s"][i] = gyro[i] - state["gyro_bias_rad_s"][i]
         state["smooth_rate_rad_s"][i] = state["rate_rad_s"][i]
+        state["accel_before_m_s2"][i] = accel[i]
         state["force_ned_m_s2"][i] = (
             dcm[i, 0] * accel[0] + dcm[i, 1] * accel[1] + dcm[i, 2] * accel[2]
         )
+    state["interval_before_s"] = 0.0
     state["aligned_samples"] = 1
 
 
