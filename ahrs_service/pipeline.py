@@ -80,7 +80,7 @@ PARAMETERS_DTYPE: Final = np.dtype(
         ("alignment_s", "f8"),
         ("gap_s", "f8"),
         ("declination_rad", "f8"),
-        ("gyro_is_mean", "i8"),
+        ("samples_are_means", "i8"),
         ("use_magnetometer", "i8"),
         ("use_airspeed", "i8"),
         ("use_velocity", "i8"),
@@ -149,7 +149,7 @@ def parameters(settings: Settings) -> Rows:
         for field in dataclasses.fields(airframe):
             row[field.name][0, number] = getattr(airframe, field.name)
     row["declination_rad"] = math.radians(fusion.declination_deg)
-    row["gyro_is_mean"] = fusion.gyro_sample == "mean"
+    row["samples_are_means"] = fusion.gyro_sample == "mean"
     row["use_magnetometer"] = fusion.magnetometer
     row["use_velocity"] = fusion.mode == "velocity"
     row["airframe"] = -1 if fusion.airframe == "auto" else Airframe[fusion.airframe.upper()]

@@ -94,6 +94,7 @@ def first_attitude(state: Record, gyro: Floats, accel: Floats) -> None:
         state["force_ned_m_s2"][i] = (
             dcm[i, 0] * accel[0] + dcm[i, 1] * accel[1] + dcm[i, 2] * accel[2]
         )
+        state["force_before_ned_m_s2"][i] = state["force_ned_m_s2"][i]
     state["interval_before_s"] = 0.0
     state["aligned_samples"] = 1
 

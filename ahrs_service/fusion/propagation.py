@@ -22,8 +22,8 @@ PROPAGATION_FIELDS: Final = [
     ("turn_velocity_variance", "f8"),
     ("rate_earlier_rad_s", "f8", 3),
     ("accel_before_m_s2", "f8", 3),
-    ("force_before_m_s2", "f8", 3),
-    ("force_m_s2", "f8", 3),
+    ("force_before_ned_m_s2", "f8", 3),
+    ("arc_force_m_s2", "f8", 3),
     ("interval_before_s", "f8"),
 ]
 """Fields of the pipeline's state that this module keeps."""
@@ -33,8 +33,6 @@ GAP_RATE_SIGMA_RAD_S: Final = 1.0
 """What a small UAV may have turned, per second that no sample came [rad/s]."""
 GAP_FORCE_SIGMA_M_S2: Final = 3.0
 """And how it may have accelerated [m/s^2]."""
-RECENT_LIMIT: Final = 0.8
-"""A parabola through samples is drawn over up to four times the interval before."""
 
 _GAP = int(Flag.GAP)
 _ACCEL_MISSING = int(Flag.ACCEL_MISSING)
@@ -64,18 +62,17 @@ def move(
         rate[i] = gyro[i] - state["gyro_bias_rad_s"][i]
         change2 += (rate[i] - before[i]) ** 2
         rate2 += rate[i] * rate[i]
-    dcm = state["dcm"]
-    _turn_force(dcm, state["accel_before_m_s2"], state["force_before_m_s2"])
     state["turn_angle_variance"] += settings["gyro_scale_error_rts"] ** 2 * rate2 * dt_s
     if flags & _GAP:
         state["turn_angle_variance"] += (GAP_RATE_SIGMA_RAD_S * dt_s) ** 2
         state["interval_before_s"] = 0.0
     else:
         state["turn_angle_variance"] += change2 * dt_s * dt_s / 48.0
-        recent = _recent(state, dt_s)
-        is_mean = settings["gyro_is_mean"] != 0
-        strapdown.rotate(state["ned_from_body"], earlier, before, rate, dt_s, recent, is_mean)
+        before_s, is_mean = state["interval_before_s"], settings["samples_are_means"] != 0
+        state["interval_before_s"] = dt_s
+        strapdown.rotate(state["ned_from_body"], earlier, before, rate, before_s, dt_s, is_mean)
     _smooth_rate(settings, state, rate, dt_s)
+    dcm = state["dcm"]
     matrix(state["ned_from_body"], dcm)
     for i in range(3):
         for j in range(3):
@@ -85,25 +82,6 @@ def move(
         state["turn_velocity_variance"] += (GAP_FORCE_SIGMA_M_S2 * dt_s) ** 2
     else:
         _move_velocity(settings, state, airframe, accel, dt_s)
-    if flags & _ACCEL_MISSING == 0:
-        for i in range(3):
-            state["accel_before_m_s2"][i] = accel[i]
-
-
-@kernel
-def _recent(state: Record, dt_s: float) -> float:
-    """Share of this interval in the last two; 0 where the sample before them says nothing."""
-    before_s = state["interval_before_s"]
-    state["interval_before_s"] = dt_s
-    recent = dt_s / (before_s + dt_s)
-    return recent if recent <= RECENT_LIMIT else 0.0
-
-
-@kernel
-def _turn_force(dcm: Floats, accel: Floats, force: Floats) -> None:
-    """Turn the specific force `accel` [3] into earth axes."""
-    for i in range(3):
-        force[i] = dcm[i, 0] * accel[0] + dcm[i, 1] * accel[1] + dcm[i, 2] * accel[2]
 
 
 @kernel
@@ -126,32 +104,35 @@ def _move_velocity(
 ) -> None:
     """Integrate the specific force, and average it in earth axes, where gravity stands still."""
     weight = dt_s / (settings["smoothing_s"] + dt_s)
-    force, force_before = state["force_m_s2"], state["force_before_m_s2"]
-    _turn_force(state["dcm"], accel, force)
+    arc, before = state["arc_force_m_s2"], state["force_before_ned_m_s2"]
+    are_means = settings["samples_are_means"] != 0
+    if are_means:
+        _follow_arc(state, accel, dt_s, arc)
     norm2 = 0.0
     for i in range(3):
-        norm2 += force[i] * force[i]
-        state["force_ned_m_s2"][i] += weight * (force[i] - state["force_ned_m_s2"][i])
-    if settings["gyro_is_mean"] != 0:
-        strapdown.mean_force(
-            state["rate_before_rad_s"],
-            state["rate_rad_s"],
-            state["accel_before_m_s2"],
-            accel,
-            dt_s,
-            force_before,
-        )
-        _turn_force(state["dcm"], force_before, force)
-    else:
-        for i in range(3):
-            force[i] = 0.5 * (force[i] + force_before[i])
-    for i in range(3):
-        state["turn_impulse_m_s"][i] += force[i] * dt_s
-        state["velocity_ned_m_s"][i] += force[i] * dt_s
+        row = state["dcm"][i]
+        force = row[0] * accel[0] + row[1] * accel[1] + row[2] * accel[2]
+        norm2 += force * force
+        state["force_ned_m_s2"][i] += weight * (force - state["force_ned_m_s2"][i])
+        mean = 0.5 * (before[i] + force)
+        if are_means:
+            mean = row[0] * arc[0] + row[1] * arc[1] + row[2] * arc[2]
+        before[i] = force
+        state["turn_impulse_m_s"][i] += mean * dt_s
+        state["velocity_ned_m_s"][i] += mean * dt_s
     state["velocity_ned_m_s"][2] += STANDARD_GRAVITY_M_S2 * dt_s
     excess = settings["accel_scale_error"][airframe] * (math.sqrt(norm2) - STANDARD_GRAVITY_M_S2)
     noise2 = settings["velocity_noise_m_s_rts"][airframe] ** 2 + excess * excess
     state["turn_velocity_variance"] += noise2 * dt_s
+
+
+@kernel
+def _follow_arc(state: Record, accel: Floats, dt_s: float, arc: Floats) -> None:
+    """Refer the mean force of the interval to the body axes at its end."""
+    before = state["accel_before_m_s2"]
+    strapdown.mean_force(state["rate_before_rad_s"], state["rate_rad_s"], before, accel, dt_s, arc)
+    for i in range(3):
+        before[i] = accel[i]
 
 
 @kernel

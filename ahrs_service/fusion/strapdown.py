@@ -16,25 +16,29 @@ def rotate(
     rate_earlier: Floats,
     rate_before: Floats,
     rate: Floats,
+    before_s: float,
     dt_s: float,
-    recent: float,
     is_mean: bool,
 ) -> None:
-    """Turn `q` [4] by three successive gyro samples w0, w1, w2 [rad/s] over the last interval.
+    """Turn `q` [4] over `dt_s` by three gyro samples w0, w1, w2 [rad/s], `before_s` w0 to w1.
 
-    `recent` = r is the share of the last interval in the last two, 1/2 at a steady rate, 0 where
-    w0 says nothing. The rotation vector is dt w + dt^2 (k1 w1 + k0 w0) x w2, w the mean rate. Is
-    a sample the rate of one instant, w is the integral of the parabola through all three, of third
-    order also at uneven steps; is it the mean since the sample before, w = w2. In the coning term
-    k1 and k0 are such that the drift in pure coning vanishes to the fifth order of its frequency,
-    that of the parabola's own error included (as Ignagni 1990 does for means).
+    The rotation vector is dt w + dt^2 (k1 w1 + k0 w0) x w2. Where a sample is the rate of one
+    instant, w is the mean of the parabola through all three: third order, at uneven steps too.
+    Where it is the mean since the sample before, w = w2. In the coning term k1 and k0 cancel the
+    drift of pure coning to the fifth order of its frequency, the parabola's own error included
+    (as Ignagni 1990 does for means). `before_s` = 0, or below a quarter of `dt_s`: without w0.
     """
+    recent = oldest = 0.0
+    if 4.0 * before_s >= dt_s:
+        per_area = dt_s / (before_s * (before_s + dt_s))
+        recent = before_s * per_area
+        oldest = dt_s * per_area / -6.0
     if is_mean:
         oldest, newest = 0.0, 1.0
-        cone_before, cone_earlier = recent * (8.0 - 2.0 * recent) / 30.0, -recent / 30.0
+        cone_before, cone_earlier = recent * (8.0 - 2.0 * recent) / 30.0, recent / -30.0
     else:
-        oldest, newest = -recent * recent / (6.0 * (1.0 - recent)), (3.0 - recent) / 6.0
-        cone_before, cone_earlier = 2.0 / 15.0, -recent / 20.0
+        newest = (3.0 - recent) / 6.0
+        cone_before, cone_earlier = 2.0 / 15.0, recent / -20.0
     middle = 1.0 - oldest - newest
     a, b, c = rate_earlier, rate_before, rate
     coning = dt_s * dt_s
