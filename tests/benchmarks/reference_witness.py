@@ -40,7 +40,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from flights import LOGS, Flight, estimates_of, read_flight
+from flight_recordings import LOGS, Flight, read_flight
+from flights import estimates_of
 from gps_velocity import GpsVelocity, gps_velocity
 from peers import G0, SHARED_DATA, Floats, require_data
 from rich.console import Console
@@ -50,29 +51,23 @@ from tilt_witness import (
     best_lag,
     carried,
     gps_windows,
-    gyro_attitude,
-    interpolated,
+    gyro_corrections,
     residuals,
     still_windows,
     tilted,
     track,
 )
+from witness_statistics import doubtful, fault, nearer, spans
 
 from ahrs_service.comparison import compare, steady_flight
 from ahrs_service.records import Airframe, Phase
-from ahrs_service.rotation import inverse_columns, multiply_columns, rotate_columns
+from ahrs_service.rotation import inverse_columns, rotate_columns
 from links.recording_formats import read_recording
 
 PEER_CHOICE = ("vqf", "vqf tauAcc 10", "BasicVQF tauAcc 10", "Fusion", "Fusion gain .1 rej 5")
-SPAN_S = 5.0
-SHORTEST_SPAN_S = 2.0
-BLOCK_S = 10.0
 OUTLIER = 6.0
-DOUBT_RAD = np.radians(2.0)
-DOUBT_SIGMA = 3.0
 FAST_RAD_S = 1.0
 STEEP_RAD = np.radians(60.0)
-GYRO_STEP_S = 0.5
 FEWEST_WINDOWS = 30
 SEGMENTS = ("all", "steady", "turns", "fast or steep")
 
@@ -136,76 +131,9 @@ def segments(all_of: Attitudes, middle_s: Floats) -> dict[str, Any]:
     return dict(zip(SEGMENTS, (every, steady, ~steady & ~wild, wild), strict=True))
 
 
-def fault(r_ref: Any, r_other: Any, middle_s: Floats) -> tuple[float, float]:
-    """Return the reference's share of the squared difference, and its 1-sigma (bootstrap)."""
-    d = r_ref - r_other
-    block, inverse = np.unique((middle_s // BLOCK_S).astype(int), return_inverse=True)
-    top = np.bincount(inverse, (r_ref * np.conj(d)).real)
-    bottom = np.bincount(inverse, np.abs(d) ** 2)
-    drawn = np.random.default_rng(1).integers(0, len(block), (1000, len(block)))
-    spread = (top[drawn].sum(axis=1) / bottom[drawn].sum(axis=1)).std()
-    return float(top.sum() / bottom.sum()), float(spread)
-
-
-def doubtful(r_ref: Any, r_other: Any, windows: Windows) -> Any:
-    """Mark [K] the windows around which the other attitude is right, by the rule above."""
-    d = r_ref - r_other
-    step_s = float(np.median(np.diff(windows.start_s)))
-    count = max(1, round(SPAN_S / step_s))
-    ones = np.ones(count) / count
-
-    def mean(values: Any) -> Any:
-        return np.convolve(values, ones, "same")
-
-    power = mean(np.abs(d) ** 2)
-    share = mean((r_ref * np.conj(d)).real) / np.maximum(power, 1e-12)
-    left = mean(np.abs(r_ref) ** 2) - share**2 * power
-    # Windows overlap: only as many are independent as fit side by side.
-    independent = SPAN_S / max(step_s, float(np.median(windows.stop_s - windows.start_s)))
-    sigma = np.sqrt(np.maximum(left, 0.0) / 2.0 / np.maximum(power * independent, 1e-12))
-    return (np.sqrt(power) > DOUBT_RAD * G0) & (share - DOUBT_SIGMA * sigma > 0.5)
-
-
-def spans(marked: Any, middle_s: Floats) -> list[tuple[float, float]]:
-    """Time spans [s] of the marked windows, the short ones left out, near ones joined."""
-    found: list[tuple[float, float]] = []
-    for t in middle_s[marked].tolist():
-        if found and t - found[-1][1] < SHORTEST_SPAN_S:
-            found[-1] = (found[-1][0], t)
-        else:
-            found.append((t, t))
-    return [(a, b) for a, b in found if b - a >= SHORTEST_SPAN_S]
-
-
 def gyro_witness(all_of: Attitudes) -> dict[str, float]:
     """What the reference turned about horizontal axes and the gyro did not [deg/s]."""
-    t_s, at_s, q = all_of.t_s, all_of.reference_s, all_of.reference
-    stride = max(1, round(GYRO_STEP_S / float(np.median(np.diff(at_s)))))
-    chosen = np.flatnonzero((at_s > t_s[0]) & (at_s < t_s[-1]))[::stride]
-    at_s, q = at_s[chosen], q[chosen]
-    gyro_q = interpolated(t_s, gyro_attitude(t_s, all_of.gyro), at_s)
-    seen = multiply_columns(inverse_columns(gyro_q[:-1]), gyro_q[1:])
-    turned = multiply_columns(inverse_columns(q[:-1]), q[1:])
-    unseen = multiply_columns(inverse_columns(seen), turned)
-    unseen *= np.where(unseen[:, :1] < 0.0, -1.0, 1.0)
-    span = np.diff(at_s)
-    angle = np.concatenate(
-        [np.zeros((1, 3)), np.cumsum(all_of.gyro[1:] * np.diff(t_s)[:, None], axis=0)]
-    )
-    sums = np.stack([np.interp(at_s, t_s, column) for column in angle.T], axis=1)
-    # Bias and matrix of the gyro explain what is common to the whole flight.
-    known = np.concatenate([span[:, None], np.diff(sums, axis=0)], axis=1)
-    kept = span < 2.0 * GYRO_STEP_S
-    left = 2.0 * unseen[:, 1:]
-    for _ in range(5):
-        size = np.linalg.norm(left, axis=1)
-        weight = kept / np.hypot(1.0, size / (2.0 * np.median(size[kept])))
-        fitted = np.linalg.lstsq(
-            known * weight[:, None], 2.0 * unseen[:, 1:] * weight[:, None], rcond=None
-        )[0]
-        left = 2.0 * unseen[:, 1:] - known @ fitted
-    earth = rotate_columns(q[1:], left)[kept] / span[kept, None]
-    rate = np.degrees(np.hypot(earth[:, 0], earth[:, 1]))
+    _, rate = gyro_corrections(all_of.t_s, all_of.gyro, all_of.reference_s, all_of.reference)
     return {"rms": float(np.sqrt(np.mean(rate**2))), "p99": float(np.percentile(rate, 99.0))}
 
 
@@ -267,13 +195,6 @@ def _by_segment(all_of: Attitudes, windows: Windows, r: dict[str, Any]) -> dict[
             for name, one in part.items()
         }
     return out
-
-
-def nearer(share: float, sigma: float) -> str:
-    """Who is nearer to the truth, where two sigma tell."""
-    if share - 2.0 * sigma > 0.5:
-        return "ours"
-    return "reference" if share + 2.0 * sigma < 0.5 else "even"
 
 
 def whole_table(results: dict[str, Any]) -> Table:

@@ -20,6 +20,7 @@ LONGEST_WINDOW_S = 2.5
 STILL_WINDOW_S = 20.0
 STILL_STEP_S = 1.0
 HEADING_SIGMA_S = 5.0
+GYRO_STEP_S = 0.5
 LAGS_S = np.arange(-0.2, 0.81, 0.02)
 MOVING_M_S = 1.0
 """Slower than this a GPS's course says nothing and a plane stands on the ground."""
@@ -200,3 +201,36 @@ def best_lag(tracks: list[Track], windows: Windows) -> float:
         for lag in LAGS_S
     ]
     return float(LAGS_S[int(np.argmin(sizes))])
+
+
+def gyro_corrections(t_s: Floats, gyro: Floats, at_s: Floats, q: Floats) -> tuple[Floats, Floats]:
+    """What an attitude `q` [M, 4] of `at_s` [M] turned about horizontal axes and the gyro did not.
+
+    Returns times [K] [s] and rates [K] [deg/s] over half a second each. The bias and matrix of the
+    gyro that fit the whole flight are taken out.
+    """
+    good = np.isfinite(gyro).all(axis=1)
+    good[1:] &= t_s[1:] > np.maximum.accumulate(t_s)[:-1]
+    t_s, gyro = t_s[good], gyro[good]
+    order = np.argsort(at_s, kind="stable")
+    order = order[(at_s[order] > t_s[0]) & (at_s[order] < t_s[-1])]
+    stride = max(1, round(GYRO_STEP_S / float(np.median(np.diff(at_s[order])))))
+    at_s, q = at_s[order[::stride]], q[order[::stride]]
+    carrier = interpolated(t_s, gyro_attitude(t_s, gyro), at_s)
+    seen = multiply_columns(inverse_columns(carrier[:-1]), carrier[1:])
+    turned = multiply_columns(inverse_columns(q[:-1]), q[1:])
+    unseen = multiply_columns(inverse_columns(seen), turned)
+    apart = 2.0 * unseen[:, 1:] * np.where(unseen[:, :1] < 0.0, -1.0, 1.0)
+    span = np.diff(at_s)
+    steps = gyro[1:] * np.diff(t_s)[:, None]
+    angle = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+    sums = np.stack([np.interp(at_s, t_s, column) for column in angle.T], axis=1)
+    known = np.concatenate([span[:, None], np.diff(sums, axis=0)], axis=1)
+    kept = (span > 0.0) & (span < 2.0 * GYRO_STEP_S)
+    left = apart
+    for _ in range(5):
+        size = np.linalg.norm(left, axis=1)
+        weight = (kept / np.hypot(1.0, size / (2.0 * np.median(size[kept]))))[:, None]
+        left = apart - known @ np.linalg.lstsq(known * weight, apart * weight, rcond=None)[0]
+    earth = rotate_columns(q[1:], left)[kept] / span[kept, None]
+    return at_s[1:][kept], np.degrees(np.hypot(earth[:, 0], earth[:, 1]))
