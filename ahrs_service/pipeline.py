@@ -22,9 +22,9 @@ from ahrs_service.fusion import (
     motion,
     propagation,
     rest,
-    strapdown,
     timebase,
 )
+from ahrs_service.fusion.states import ERROR_STATES
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Airframe, Flag, Floats, Gate, Phase, Record, Rows
 from ahrs_service.rotation import matrix
@@ -66,19 +66,11 @@ PARAMETERS_DTYPE: Final = np.dtype(
         ("accel_noise_m_s2", "f8", len(Airframe)),
         ("velocity_noise_m_s_rts", "f8", len(Airframe)),
         ("accel_scale_error", "f8", len(Airframe)),
-        ("accel_bias_sigma", "f8", len(Airframe)),
-        ("accel_bias_walk", "f8", len(Airframe)),
+        ("accel_bias_sigma_m_s2", "f8", len(Airframe)),
         ("gyro_matrix_sigma", "f8", len(Airframe)),
         ("drag_s", "f8", (len(Airframe), 3)),
-        ("drag_error", "f8", len(Airframe)),
         ("climb_sigma_m_s", "f8", len(Airframe)),
         ("climb_correlation_s", "f8", len(Airframe)),
-        ("vibration_noise", "f8", len(Airframe)),
-        ("velocity_limit", "f8"),
-        ("velocity_lag_s", "f8"),
-        ("wind_walk", "f8"),
-        ("velocity_aid_factor", "f8"),
-        ("use_velocity_aiding", "i8"),
         ("gate_norm_m_s2", "f8"),
         ("gate_rate_rad_s", "f8"),
         ("gate_angular_acceleration_rad_s2", "f8"),
@@ -90,14 +82,17 @@ PARAMETERS_DTYPE: Final = np.dtype(
         ("gyro_bias_walk_rad_s2_rthz", "f8"),
         ("gyro_bias_sigma_rad_s", "f8"),
         ("gyro_rest_sigma_rad_s", "f8"),
+        ("gyro_bias_per_rtdegc_rad_s", "f8"),
         ("gyro_scale_error_rts", "f8"),
         ("alignment_s", "f8"),
         ("gap_s", "f8"),
         ("declination_rad", "f8"),
-        ("gyro_share", "f8"),
+        ("samples_are_means", "i8"),
         ("use_magnetometer", "i8"),
         ("use_airspeed", "i8"),
         ("use_velocity", "i8"),
+        ("use_ground_velocity", "i8"),
+        ("velocity_lag_s", "f8"),
         ("airframe", "i8"),
     ]
 )
@@ -120,7 +115,7 @@ STATE_DTYPE: Final = np.dtype(
         ("accel_bias_m_s2", "f8", 3),
         ("gyro_matrix", "f8", (3, 3)),
         ("states", "i8"),
-        ("covariance", "f8", (strapdown.ERROR_STATES, strapdown.ERROR_STATES)),
+        ("covariance", "f8", (ERROR_STATES, ERROR_STATES)),
         ("rate_rad_s", "f8", 3),
         ("smooth_rate_rad_s", "f8", 3),
         ("angular_acceleration_rad_s2", "f8", 3),
@@ -150,7 +145,7 @@ def new_state() -> Rows:
 def parameters(settings: Settings) -> Rows:
     """Return the kernel's parameters [1]."""
     row = np.zeros(1, PARAMETERS_DTYPE)
-    gate, fusion = settings.gate, settings.fusion
+    gate, fusion = gating.limits(settings), settings.fusion
     for name in PARAMETERS_DTYPE.names or ():
         if hasattr(fusion, name):
             if not isinstance(getattr(fusion, name), str):
@@ -167,7 +162,7 @@ def parameters(settings: Settings) -> Rows:
         for field in dataclasses.fields(airframe):
             row[field.name][0, number] = getattr(airframe, field.name)
     row["declination_rad"] = math.radians(fusion.declination_deg)
-    row["gyro_share"] = {"instant": 0.5, "mean": 1.0}[fusion.gyro_sample]
+    row["samples_are_means"] = fusion.gyro_sample == "mean"
     row["use_magnetometer"] = fusion.magnetometer
     row["use_velocity"] = fusion.mode == "velocity"
     row["airframe"] = -1 if fusion.airframe == "auto" else Airframe[fusion.airframe.upper()]
@@ -246,33 +241,45 @@ def _gravity_variance(settings: Record, airframe: int) -> float:
 
 
 @kernel
-def _turn(settings: Record, state: Record, airframe: int, flags: int) -> None:
+def _turn(
+    settings: Record, state: Record, sample: Record, airframe: int, flags: int
+) -> None:
     """Propagate the covariance, then correct by all that is known of the vehicle's motion."""
-    dt_s = propagation.grow(settings, state, airframe)
-    correction = np.zeros(strapdown.ERROR_STATES)
+    propagation.grow(settings, state, sample["temperature_degc"])
+    dt_s = state["turn_s"]
+    work = np.zeros((2, ERROR_STATES))
+    correction, h = work[0], work[1]
     _judge(settings, state, airframe, dt_s, flags)
-    aligning = state["phase"] == _ALIGNING and flags & (_SATURATED | _ACCEL_MISSING) == 0
-    at_rest = state["at_rest"] != 0 and settings["use_velocity"] != 0
-    if (state["gate"] == 0 and not at_rest) or aligning:
-        variance = _gravity_variance(settings, airframe)
-        if aligning:
-            variance += (state["gate_metrics"][0] / STANDARD_GRAVITY_M_S2) ** 2
-        variance *= ACCEL_CORRELATION_S / min(dt_s, LONGEST_AVERAGE_S)
-        for axis in range(2):
-            measured = state["tilt_innovation_rad"][axis]
-            mekf.correct_tilt(state["covariance"], correction, state["states"], state["dcm"], axis, measured, variance)
-    if settings["use_velocity"] != 0:
-        if motion.come_to_rest(state):
-            motion.hold_at_rest(state, correction, dt_s, settings["gyro_rest_sigma_rad_s"])
-        else:
-            motion.bound_velocity(settings, state, airframe, correction, dt_s)
-        if settings["use_velocity_aiding"] != 0:
-            aiding.remember(state)
-            aiding.correct_velocity(settings, state, airframe, correction)
-            aiding.shift(state, correction)
+    uses_velocity = settings["use_velocity"] != 0
+    at_rest = uses_velocity and rest.come_to_rest(state)
+    if at_rest:
+        rest.hold(state, correction, h, dt_s, settings["gyro_rest_sigma_rad_s"])
+    else:
+        _correct_by_gravity(settings, state, airframe, correction, h, flags)
+        if uses_velocity:
+            motion.bound_velocity(settings, state, airframe, correction, h, dt_s)
+    if uses_velocity and settings["use_ground_velocity"] != 0:
+        aiding.remember(state)
+        aiding.correct_velocity(settings, state, airframe, correction, h)
+        aiding.shift_history(state, correction)
     propagation.begin_turn(state)
-    mekf.apply_correction(state, state["states"], correction)
-    matrix(state["ned_from_body"], state["dcm"])
+    mekf.apply_correction(state, correction)
+
+
+@kernel
+def _correct_by_gravity(
+    settings: Record, state: Record, airframe: int, correction: Floats, h: Floats, flags: int
+) -> None:
+    """Take the averaged force for the vertical while the gates are open, or while aligning."""
+    aligning = state["phase"] == _ALIGNING and flags & (_SATURATED | _ACCEL_MISSING) == 0
+    if state["gate"] != 0 and not aligning:
+        return
+    variance = _gravity_variance(settings, airframe)
+    if aligning:
+        variance += (state["gate_metrics"][0] / STANDARD_GRAVITY_M_S2) ** 2
+    variance *= ACCEL_CORRELATION_S / min(state["turn_s"], LONGEST_AVERAGE_S)
+    for axis in range(2):
+        mekf.correct_tilt(state, correction, h, axis, variance)
 
 
 @kernel
@@ -325,21 +332,7 @@ def _realign_if_lost(
 @kernel
 def _begin(settings: Record, state: Record, airframe: int) -> None:
     """Begin to align."""
-    speed_sigma = settings["velocity_sigma_m_s"][airframe, 0]
-    alignment.start(
-        state,
-        settings["gyro_bias_sigma_rad_s"],
-        max(settings["forward_speed_m_s"][airframe], speed_sigma),
-        settings["accel_bias_sigma"][airframe],
-        settings["gyro_matrix_sigma"][airframe],
-    )
-    state["states"] = 6
-    if settings["use_velocity"]:
-        state["states"] = 9
-        if settings["accel_bias_sigma"][airframe] > 0.0:
-            state["states"] = 12
-        if settings["gyro_matrix_sigma"][airframe] > 0.0:
-            state["states"] = 21
+    alignment.start(settings, state, airframe)
     propagation.begin_turn(state)
     state["phase"] = _ALIGNING
 
@@ -387,7 +380,7 @@ def _move(
 ) -> None:
     """Take one good sample: integrate, and at the end of a turn correct."""
     motion.hear_airspeed(state, sample)
-    if settings["use_velocity_aiding"] != 0:
+    if settings["use_ground_velocity"] != 0:
         aiding.hear_velocity(state, sample)
     if state["aligned_samples"] == 0:
         if flags & _ACCEL_MISSING == 0:
@@ -403,7 +396,7 @@ def _move(
     if flags & _ACCEL_MISSING == 0:
         rest.follow(state, gyro, accel, dt_s, settings["gyro_rest_sigma_rad_s"])
     if state["turn_s"] >= propagation.TURN_S or flags & _JUDGED_AT_ONCE != 0:
-        _turn(settings, state, airframe, flags)
+        _turn(settings, state, sample, airframe, flags)
         if not alignment.is_sound(state):
             _begin(settings, state, airframe)
             return

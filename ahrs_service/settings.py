@@ -49,6 +49,48 @@ class GateSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class GateBudget:
+    """Largest errors admitted to the correction, from which limits follow (Liu et al., sec. 4).
+
+    What is None leaves that limit as GateSettings has it; `fusion.gating.limits` resolves.
+    `acceleration_m_s2` is the linear acceleration a_a [m/s^2], or in its place `tilt_deg` the tilt
+    that a horizontal acceleration may fake [deg]; `centripetal_m_s2` is a_w on a turn of radius
+    `turn_radius_m` R, `tangential_m_s2` a_alpha of a sensor `arm_m` L [m] (body x, y, z) off the
+    centre of mass. The sigmas are S(), the standard deviations of abs(norm(f) - g0) [m/s^2],
+    norm(w) [rad/s] and norm(dw/dt) [rad/s^2] in steady flight, so that noise and vibration do not
+    lock the gate shut.
+    """
+
+    __pydantic_config__: ClassVar = _STRICT
+    acceleration_m_s2: _Positive | None = None
+    tilt_deg: Annotated[float, Gt(0.0), Le(60.0)] | None = None
+    centripetal_m_s2: _Positive | None = None
+    tangential_m_s2: _Positive | None = None
+    turn_radius_m: _NotNegative = 0.0
+    arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    norm_sigma_m_s2: _NotNegative = 0.0
+    rate_sigma_rad_s: _NotNegative = 0.0
+    angular_acceleration_sigma_rad_s2: _NotNegative = 0.0
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a budget from which no limit follows."""
+        if self.acceleration_m_s2 is not None and self.tilt_deg is not None:
+            raise ValueError(
+                f"acceleration_m_s2 = {self.acceleration_m_s2} and tilt_deg = {self.tilt_deg} are "
+                "two budgets of one limit: give one of them"
+            )
+        if self.centripetal_m_s2 is not None and not (self.turn_radius_m or any(self.arm_m)):
+            raise ValueError(
+                f"centripetal_m_s2 = {self.centripetal_m_s2} needs turn_radius_m or arm_m [m]"
+            )
+        if self.tangential_m_s2 is not None and not (self.arm_m[0] or self.arm_m[2]):
+            raise ValueError(
+                f"tangential_m_s2 = {self.tangential_m_s2} needs arm_m [m] along x or z, "
+                f"not {self.arm_m}"
+            )
+
+
+@dataclass(frozen=True, slots=True)
 class FusionSettings:
     """Which filter, and the noise of the sensors and of what they are told about the world.
 
@@ -68,12 +110,10 @@ class FusionSettings:
     gyro_bias_sigma_rad_s: _Positive = 0.02
     gyro_scale_error_rts: _NotNegative = 0.005
     gyro_rest_sigma_rad_s: _Positive = 0.02
-    velocity_limit: _Positive = 1e3
-    wind_walk: _NotNegative = 0.1
     velocity_lag_s: _NotNegative = 0.2
-    velocity_aid_factor: _Positive = 1.0
-    use_velocity_aiding: bool = True
+    gyro_bias_per_rtdegc_rad_s: _NotNegative = 3e-4
     use_airspeed: bool = True
+    use_ground_velocity: bool = True
     alignment_s: _Positive = 1.0
     gap_s: _Positive = 0.5
     magnetometer: bool = True
@@ -98,14 +138,11 @@ class AirframeSettings:
     accel_noise_m_s2: _Positive = 0.7
     velocity_noise_m_s_rts: _Positive = 0.7
     accel_scale_error: _NotNegative = 0.1
-    accel_bias_sigma: _NotNegative = 0.0
-    accel_bias_walk: _NotNegative = 0.0
+    accel_bias_sigma_m_s2: _NotNegative = 0.0
     gyro_matrix_sigma: _NotNegative = 0.0
     drag_s: tuple[_NotNegative, _NotNegative, _NotNegative] = (0.0, 0.0, 0.0)
-    vibration_noise: _NotNegative = 0.0
-    drag_error: _NotNegative = 0.3
-    climb_sigma_m_s: _NotNegative = 0.0
-    climb_correlation_s: _NotNegative = 10.0
+    climb_sigma_m_s: _Positive = 1e3
+    climb_correlation_s: _Positive = 5.0
 
 
 FIXED_WING = AirframeSettings(10.0, (10.0, 1.5, 1.5), (60.0, 2.0, 2.0), 1.0)
@@ -175,6 +212,7 @@ class Settings:
     __pydantic_config__: ClassVar = _STRICT
     intake: IntakeSettings = field(default_factory=IntakeSettings)
     gate: GateSettings = field(default_factory=GateSettings)
+    gate_budget: GateBudget = field(default_factory=GateBudget)
     fusion: FusionSettings = field(default_factory=FusionSettings)
     fixed_wing: AirframeSettings = FIXED_WING
     multirotor: AirframeSettings = MULTIROTOR

@@ -1,8 +1,9 @@
-"""Velocity over ground as it is measured: by satellites, late, or by the autopilot's own filter.
+"""The velocity over ground as it is measured: by satellites, late, or by the autopilot's filter.
 
-The filter's velocity is that through the air as long as nothing measures it; with the first
+As long as nothing measures it, the filter's velocity is that through the air. With the first
 measurement the wind becomes a state, so that what the airframe can do still bounds the velocity
-through the air and the filter falls back to that where the measurements vanish.
+through the air, and the filter falls back on that where the measurements vanish. How late they
+come is a state as well: v_measured(t) = v(t - lag), compared with the velocity as remembered.
 """
 
 import math
@@ -10,36 +11,55 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.fusion.mekf import correct_by
-from ahrs_service.fusion.strapdown import ERROR_STATES, LAG, WIND
+from ahrs_service.fusion import mekf
+from ahrs_service.fusion.states import AIDED, ANGLE, ERROR_STATES, LAG, UNAIDED, VELOCITY, WIND
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Airframe, Floats, Record
-from ahrs_service.rotation import from_rotation_vector, matrix, multiply, normalise
 
-HISTORY: Final = 64
+HISTORY: Final = 32
+"""Turns that are remembered: 1.6 s."""
 AIDING_FIELDS: Final = [
-    ("wind_m_s", "f8", 2),
+    ("wind_ned_m_s", "f8", 3),
+    ("velocity_lag_s", "f8"),
     ("measured_velocity_m_s", "f8", 3),
     ("measured_time_ns", "i8"),
     ("measured_new", "i8"),
     ("history_time_ns", "i8", HISTORY),
     ("history_m_s", "f8", (HISTORY, 3)),
     ("history_next", "i8"),
-    ("match_before_m_s", "f8", 4),
-    ("match_time_ns", "i8"),
+    ("matched_time_ns", "i8"),
+    ("matched_m_s", "f8", (2, 2)),
     ("match", "f8", 4),
-    ("lag_s", "f8"),
-    ("velocity_doubted", "i8"),
     ("velocity_surprise", "f8"),
+    ("course_doubted", "i8"),
 ]
+"""Fields of the pipeline's state that this module keeps."""
+
+VALID_NS: Final = 2_000_000_000
 WIND_SIGMA_M_S: Final = 5.0
-VELOCITY_SIGMA_M_S: Final = 0.5
-VELOCITY_CORRELATION_S: Final = 1.0
-COURSE_SPEED_M_S: Final = 8.0
-COURSE_SIGMA_RAD: Final = 0.35
+SIGMA_M_S: Final = 0.5
+"""Of a velocity by satellites in flight, along each axis [m/s]."""
 LAG_SIGMA_S: Final = 0.15
+LAG_MAX_S: Final = 1.0
+SLOPE_NS: Final = 50_000_000
+OUTLIER_SIGMA: Final = 4.0
+COURSE_SPEED_M_S: Final = 8.0
+"""A fixed wing faster than this flies about where it points [m/s];"""
+COURSE_SIGMA_RAD: Final = 0.35
+"""about: a wind of 5 m/s across 14 m/s [rad]."""
+MATCH_SPAN_S: Final = 3.0
+MATCH_FORGET_S: Final = 60.0
+MATCH_ENOUGH_M2_S2: Final = 30.0
+"""Sum of the squared changes of velocity from which a heading is found [m^2/s^2],"""
+MATCH_LIKENESS: Final = 0.85
+"""if both velocities changed alike to this correlation."""
+MATCH_SIGMA_RAD: Final = 0.3
 SURPRISE_LIMIT: Final = 8.0
-MATCH_ENOUGH: Final = 30.0
+"""Mean square of the innovation in its variances beyond which the heading must be wrong: within
+bounds it is 1, and a single outlier cannot bring it here."""
+SURPRISE_WEIGHT: Final = 0.05
+SURPRISE_MAX: Final = 50.0
+
 _FIXED_WING = int(Airframe.FIXED_WING)
 
 
@@ -47,9 +67,8 @@ _FIXED_WING = int(Airframe.FIXED_WING)
 def hear_velocity(state: Record, sample: Record) -> None:
     """Keep a new velocity [3] [m/s]; the same numbers again are no new measurement."""
     v, known = sample["velocity_ned_m_s"], state["measured_velocity_m_s"]
-    if not (math.isfinite(v[0]) and math.isfinite(v[1])):
-        return
-    if v[0] == known[0] and v[1] == known[1]:
+    finite = math.isfinite(v[0]) and math.isfinite(v[1])
+    if not finite or (v[0] == known[0] and v[1] == known[1]):
         return
     for i in range(3):
         known[i] = v[i]
@@ -58,170 +77,169 @@ def hear_velocity(state: Record, sample: Record) -> None:
 
 
 @kernel
+def is_fresh(state: Record) -> bool:
+    """Return whether a velocity was measured in the last two seconds."""
+    return bool(state["time_ns"] - state["measured_time_ns"] < VALID_NS)
+
+
+@kernel
 def remember(state: Record) -> None:
-    k = state["history_next"]
-    state["history_time_ns"][k] = state["time_ns"]
+    """Remember the velocity at the end of a turn."""
+    n = state["history_next"]
+    state["history_time_ns"][n] = state["time_ns"]
     for i in range(3):
-        state["history_m_s"][k, i] = state["velocity_ned_m_s"][i]
-    state["history_next"] = (k + 1) % HISTORY
+        state["history_m_s"][n, i] = state["velocity_ned_m_s"][i]
+    state["history_next"] = (n + 1) % HISTORY
 
 
 @kernel
 def _velocity_at(state: Record, time_ns: int, out: Floats) -> bool:
-    """Velocity at a past time, between two turns; False where it is not remembered."""
-    newest = (state["history_next"] - 1) % HISTORY
-    k = newest
+    """Velocity [3] at a past time, between two turns; False where it is not remembered."""
+    times, velocities = state["history_time_ns"], state["history_m_s"]
+    after = (state["history_next"] - 1) % HISTORY
     for _ in range(HISTORY - 1):
-        before = (k - 1) % HISTORY
-        t0, t1 = state["history_time_ns"][before], state["history_time_ns"][k]
-        if t0 == 0 or t1 <= t0:
+        before = (after - 1) % HISTORY
+        if times[before] == 0 or times[after] <= times[before]:
             return False
-        if t0 <= time_ns <= t1:
-            share = (time_ns - t0) / (t1 - t0)
+        if times[before] <= time_ns <= times[after]:
+            share = (time_ns - times[before]) / (times[after] - times[before])
             for i in range(3):
-                a, b = state["history_m_s"][before, i], state["history_m_s"][k, i]
-                out[i] = a + share * (b - a)
+                step = velocities[after, i] - velocities[before, i]
+                out[i] = velocities[before, i] + share * step
             return True
-        k = before
+        after = before
     return False
 
 
 @kernel
-def _turn_heading(state: Record, angle: float) -> None:
-    """Turn all that is about the earth's axes by `angle` [rad] about down."""
-    q = state["ned_from_body"]
-    multiply(from_rotation_vector(0.0, 0.0, angle), q, q)
-    normalise(q)
-    matrix(q, state["dcm"])
-    c, s = math.cos(angle), math.sin(angle)
-    p = state["covariance"]
-    for first in (0, 6):
-        for j in range(ERROR_STATES):
-            a, b = p[first, j], p[first + 1, j]
-            p[first, j], p[first + 1, j] = c * a - s * b, s * a + c * b
-        for i in range(ERROR_STATES):
-            a, b = p[i, first], p[i, first + 1]
-            p[i, first], p[i, first + 1] = c * a - s * b, s * a + c * b
-    for name_k in range(2):
-        v = state["velocity_ned_m_s"] if name_k == 0 else state["force_ned_m_s2"]
-        a, b = v[0], v[1]
-        v[0], v[1] = c * a - s * b, s * a + c * b
-    for k in range(HISTORY):
-        a, b = state["history_m_s"][k, 0], state["history_m_s"][k, 1]
-        state["history_m_s"][k, 0], state["history_m_s"][k, 1] = c * a - s * b, s * a + c * b
+def correct_velocity(
+    settings: Record, state: Record, airframe: int, correction: Floats, h: Floats
+) -> None:
+    """Correct by a new measurement of the velocity over ground; `h` [n] comes and goes zero.
 
-
-@kernel
-def _begin(state: Record, heading_sigma: float) -> None:
-    """Bring the wind in: velocity over ground = velocity through the air + wind."""
-    p = state["covariance"]
-    if heading_sigma > 0.0:
-        for j in range(ERROR_STATES):
-            p[2, j] = 0.0
-            p[j, 2] = 0.0
-        p[2, 2] = heading_sigma**2
-        state["heading_source"] = 2
-    for i in range(2):
-        for j in range(ERROR_STATES):
-            p[WIND + i, j] = 0.0
-            p[j, WIND + i] = 0.0
-        if state["at_rest"] == 0:
-            p[6 + i, 6 + i] += WIND_SIGMA_M_S**2
-            p[6 + i, WIND + i] = p[WIND + i, 6 + i] = WIND_SIGMA_M_S**2
-        p[WIND + i, WIND + i] = WIND_SIGMA_M_S**2
-        state["wind_m_s"][i] = 0.0
-    for j in range(ERROR_STATES):
-        p[LAG, j] = 0.0
-        p[j, LAG] = 0.0
-    p[LAG, LAG] = LAG_SIGMA_S**2
-    state["states"] = ERROR_STATES
-
-
-@kernel
-def _find_heading(state: Record, airframe: int, delayed: Floats) -> bool:
-    """Find the heading by course or by comparing changes of velocity."""
-    v = state["measured_velocity_m_s"]
-    if airframe == _FIXED_WING and state["velocity_doubted"] == 0 and v[0] * v[0] + v[1] * v[1] > COURSE_SPEED_M_S**2:
-        yaw = math.atan2(state["dcm"][1, 0], state["dcm"][0, 0])
-        _turn_heading(state, math.atan2(v[1], v[0]) - yaw)
-        _begin(state, COURSE_SIGMA_RAD)
-        return True
-    before = state["match_before_m_s"]
-    dt_s = (state["measured_time_ns"] - state["match_time_ns"]) * 1e-9
-    if 0.0 < dt_s < 3.0:
-        a, b = v[0] - before[0], v[1] - before[1]
-        c, d = delayed[0] - before[2], delayed[1] - before[3]
-        m = state["match"]
-        m[0] += a * c + b * d
-        m[1] += b * c - a * d
-        m[2] += a * a + b * b
-        m[3] += c * c + d * d
-        fade = math.exp(-dt_s / 60.0)
-        for i in range(4):
-            m[i] *= fade
-        strength = math.hypot(m[0], m[1])
-        if strength > MATCH_ENOUGH and strength > 0.85 * math.sqrt(m[2] * m[3]):
-            _turn_heading(state, math.atan2(m[1], m[0]))
-            _begin(state, 0.3)
-            return True
-    before[0], before[1], before[2], before[3] = v[0], v[1], delayed[0], delayed[1]
-    state["match_time_ns"] = state["measured_time_ns"]
-    return False
-
-
-@kernel
-def correct_velocity(settings: Record, state: Record, airframe: int, correction: Floats) -> None:
-    """Correct by a new measurement of the velocity over ground."""
+    Without a heading the measurement goes to find one.
+    """
     if state["measured_new"] == 0:
         return
-    delayed, later = np.empty(3), np.empty(3)
-    if state["lag_s"] == 0.0:
-        state["lag_s"] = settings["velocity_lag_s"]
-    taken_ns = state["measured_time_ns"] - int(state["lag_s"] * 1e9)
-    known = _velocity_at(state, taken_ns, delayed)
-    known = _velocity_at(state, min(taken_ns + 50_000_000, state["time_ns"]), later) and known
-    if not known:
+    if state["states"] != AIDED and state["velocity_lag_s"] == 0.0:
+        state["velocity_lag_s"] = settings["velocity_lag_s"]
+    lag_ns = int(min(max(state["velocity_lag_s"], 0.0), LAG_MAX_S) * 1e9)
+    taken_ns = state["measured_time_ns"] - lag_ns
+    then, later = np.empty(3), np.empty(3)
+    if not _velocity_at(state, taken_ns, then):
+        if state["time_ns"] - taken_ns > VALID_NS:
+            state["measured_new"] = 0
         return
+    later_ns = min(taken_ns + SLOPE_NS, state["time_ns"])
+    known = _velocity_at(state, later_ns, later) and later_ns > taken_ns
     state["measured_new"] = 0
-    if state["states"] < ERROR_STATES:
-        if state["heading_source"] != 0:
-            _begin(state, 0.0)
-        else:
-            _find_heading(state, airframe, delayed)
-        # The turned state is corrected from the next measurement on.
-        return
-    h = np.zeros(ERROR_STATES)
-    surprise = 0.0
-    variance = VELOCITY_SIGMA_M_S**2 * settings["velocity_aid_factor"]
-    for i in range(3):
-        if math.isfinite(state["measured_velocity_m_s"][i]):
-            h[6 + i] = 1.0
-            h[LAG] = -(later[i] - delayed[i]) / 0.05
-            nu = state["measured_velocity_m_s"][i] - delayed[i]
-            nis = correct_by(state["covariance"], correction, ERROR_STATES, h, nu, variance, 4.0)
-            surprise = max(surprise, nis)
-            h[6 + i] = 0.0
-    h[LAG] = 0.0
-    state["velocity_surprise"] += 0.05 * (min(surprise, 50.0) - state["velocity_surprise"])
-    if state["velocity_surprise"] > SURPRISE_LIMIT:
-        # The heading is wrong: find it anew.
-        state["velocity_surprise"] = 0.0
-        state["heading_source"] = 0
-        state["velocity_doubted"] = 1
-        state["states"] = WIND
-        for j in range(ERROR_STATES):
-            state["covariance"][2, j] = state["covariance"][j, 2] = 0.0
-        state["covariance"][2, 2] = math.pi**2
-        for i in range(4):
-            state["match"][i] = 0.0
-        for i in range(2):
-            state["velocity_ned_m_s"][i] -= state["wind_m_s"][i]
-            state["wind_m_s"][i] = 0.0
+    if state["states"] == AIDED:
+        slope_per_s = 1e9 / (later_ns - taken_ns) if known else 0.0
+        _take(state, correction, h, then, later, slope_per_s)
+    elif state["heading_source"] != 0:
+        _begin(state, 0.0)
+    else:
+        _find_heading(state, airframe, then)
 
 
 @kernel
-def shift(state: Record, correction: Floats) -> None:
+def _take(
+    state: Record, correction: Floats, h: Floats, then: Floats, later: Floats, slope_per_s: float
+) -> None:
+    """Correct by each component there is; an outlier counts less, by its square."""
+    p, measured, surprise = state["covariance"], state["measured_velocity_m_s"], 0.0
+    for i in range(3):
+        if not math.isfinite(measured[i]):
+            continue
+        innovation = measured[i] - then[i]
+        n = VELOCITY + i
+        h[n], h[LAG] = 1.0, -(later[i] - then[i]) * slope_per_s
+        expected2 = p[n, n] + h[LAG] * h[LAG] * p[LAG, LAG] + SIGMA_M_S**2
+        square = innovation * innovation / expected2
+        variance = SIGMA_M_S**2 * max(1.0, square / OUTLIER_SIGMA**2)
+        mekf.correct(p, correction, ERROR_STATES, h, innovation, variance)
+        surprise = max(surprise, min(square, SURPRISE_MAX))
+        h[n] = h[LAG] = 0.0
+    state["velocity_surprise"] += SURPRISE_WEIGHT * (surprise - state["velocity_surprise"])
+    if state["velocity_surprise"] > SURPRISE_LIMIT:
+        _lose_heading(state)
+
+
+@kernel
+def _begin(state: Record, heading_sigma_rad: float) -> None:
+    """Bring the wind in: velocity over ground = velocity through the air + wind."""
+    p = state["covariance"]
+    if heading_sigma_rad > 0.0:
+        mekf.forget(p, ANGLE + 2, heading_sigma_rad**2)
+        state["heading_source"] = 2
+    for i in range(2):
+        v, w = VELOCITY + i, WIND + i
+        mekf.forget(p, w, WIND_SIGMA_M_S**2)
+        state["wind_ned_m_s"][i] = 0.0
+        if state["at_rest"] == 0:
+            p[v, v] += WIND_SIGMA_M_S**2
+            p[v, w] = p[w, v] = WIND_SIGMA_M_S**2
+    mekf.forget(p, LAG, LAG_SIGMA_S**2)
+    state["velocity_surprise"] = 0.0
+    state["states"] = AIDED
+
+
+@kernel
+def _lose_heading(state: Record) -> None:
+    """Go on without the measured velocity until it tells a heading that agrees with it."""
+    state["velocity_surprise"] = 0.0
+    state["heading_source"] = 0
+    state["course_doubted"] = 1
+    state["states"] = UNAIDED
+    mekf.forget(state["covariance"], ANGLE + 2, math.pi**2)
+    for i in range(2):
+        state["velocity_ned_m_s"][i] -= state["wind_ned_m_s"][i]
+        state["wind_ned_m_s"][i] = 0.0
+    for i in range(4):
+        state["match"][i] = 0.0
+
+
+@kernel
+def _find_heading(state: Record, airframe: int, then: Floats) -> None:
+    """Find the heading by the course, or by how both velocities changed."""
+    v = state["measured_velocity_m_s"]
+    speed2 = v[0] * v[0] + v[1] * v[1]
+    if airframe == _FIXED_WING and speed2 > COURSE_SPEED_M_S**2 and state["course_doubted"] == 0:
+        heading = math.atan2(state["dcm"][1, 0], state["dcm"][0, 0])
+        _turn_to(state, math.atan2(v[1], v[0]) - heading, COURSE_SIGMA_RAD)
+        return
+    match, matched = state["match"], state["matched_m_s"]
+    span_s = (state["measured_time_ns"] - state["matched_time_ns"]) * 1e-9
+    if 0.0 < span_s < MATCH_SPAN_S:
+        a, b = v[0] - matched[0, 0], v[1] - matched[0, 1]
+        c, d = then[0] - matched[1, 0], then[1] - matched[1, 1]
+        kept = math.exp(-span_s / MATCH_FORGET_S)
+        match[0] = kept * (match[0] + a * c + b * d)
+        match[1] = kept * (match[1] + b * c - a * d)
+        match[2] = kept * (match[2] + a * a + b * b)
+        match[3] = kept * (match[3] + c * c + d * d)
+    for i in range(2):
+        matched[0, i], matched[1, i] = v[i], then[i]
+    state["matched_time_ns"] = state["measured_time_ns"]
+    strength = math.hypot(match[0], match[1])
+    alike = strength > MATCH_LIKENESS * math.sqrt(match[2] * match[3])
+    if strength > MATCH_ENOUGH_M2_S2 and alike:
+        _turn_to(state, math.atan2(match[1], match[0]), MATCH_SIGMA_RAD)
+
+
+@kernel
+def _turn_to(state: Record, angle_rad: float, sigma_rad: float) -> None:
+    mekf.turn_about_down(state, angle_rad)
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    for n in range(HISTORY):
+        v = state["history_m_s"][n]
+        v[0], v[1] = c * v[0] - s * v[1], s * v[0] + c * v[1]
+    _begin(state, sigma_rad)
+
+
+@kernel
+def shift_history(state: Record, correction: Floats) -> None:
     """Correct the remembered velocities as the present one."""
-    for k in range(HISTORY):
+    for n in range(HISTORY):
         for i in range(3):
-            state["history_m_s"][k, i] += correction[6 + i]
+            state["history_m_s"][n, i] += correction[VELOCITY + i]

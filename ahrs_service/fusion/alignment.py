@@ -6,7 +6,16 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.fusion.strapdown import ERROR_STATES
+from ahrs_service.fusion import mekf
+from ahrs_service.fusion.states import (
+    ACCEL_BIAS,
+    ERROR_STATES,
+    GATED,
+    GYRO_BIAS,
+    GYRO_MATRIX,
+    UNAIDED,
+    VELOCITY,
+)
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats, Record
 from ahrs_service.rotation import from_euler, matrix, to_euler
@@ -35,25 +44,34 @@ REST_BIAS_SIGMA_RAD_S: Final = 0.002
 
 
 @kernel
-def start(state: Record, bias_sigma_rad_s: float, velocity_sigma_m_s: float, accel_bias_sigma: float, matrix_sigma: float) -> None:
-    """Forget attitude and velocity and begin to align; the gyro bias found so far is kept."""
+def start(settings: Record, state: Record, airframe: int) -> None:
+    """Forget attitude and velocity and begin to align; what was found of the sensors is kept."""
     p = state["covariance"]
     for i in range(ERROR_STATES):
-        for j in range(ERROR_STATES):
-            p[i, j] = 0.0
+        mekf.forget(p, i, 0.0)
     p[0, 0] = p[1, 1] = TILT_SIGMA_RAD**2
     p[2, 2] = HEADING_SIGMA_RAD**2
+    speed = max(
+        settings["forward_speed_m_s"][airframe], settings["velocity_sigma_m_s"][airframe, 0]
+    )
+    sigmas = (
+        (GYRO_BIAS, settings["gyro_bias_sigma_rad_s"]),
+        (VELOCITY, speed),
+        (ACCEL_BIAS, settings["accel_bias_sigma_m_s2"][airframe]),
+        (GYRO_MATRIX, settings["gyro_matrix_sigma"][airframe]),
+        (GYRO_MATRIX + 3, settings["gyro_matrix_sigma"][airframe]),
+        (GYRO_MATRIX + 6, settings["gyro_matrix_sigma"][airframe]),
+    )
+    for first, sigma in sigmas:
+        for i in range(3):
+            p[first + i, first + i] = sigma**2
     for i in range(3):
-        p[3 + i, 3 + i] = bias_sigma_rad_s**2
-        p[6 + i, 6 + i] = velocity_sigma_m_s**2
-        p[9 + i, 9 + i] = accel_bias_sigma**2
-        for j in range(3):
-            p[12 + 3 * i + j, 12 + 3 * i + j] = matrix_sigma**2
-        if i < 2:
-            p[21 + i, 21 + i] = 25.0
         state["velocity_ned_m_s"][i] = 0.0
         state["gyro_sum_rad_s"][i] = 0.0
         state["gyro_square_sum"][i] = 0.0
+    state["wind_ned_m_s"][0] = state["wind_ned_m_s"][1] = 0.0
+    state["heading_source"] = 0
+    state["states"] = UNAIDED if settings["use_velocity"] != 0 else GATED
     state["force_error_sum"] = 0.0
     state["aligned_samples"] = 0
     state["alignment_start_ns"] = state["time_ns"]
@@ -67,18 +85,30 @@ def is_sound(state: Record) -> bool:
     """
     q = state["ned_from_body"]
     sound = abs(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] - 1.0) < 1e-6
-    for i in range(ERROR_STATES):
+    states = state["states"]
+    sound = sound and states in (GATED, UNAIDED, ERROR_STATES)
+    for i in range(states if sound else 0):
         sound = sound and 0.0 <= state["covariance"][i, i] < math.inf
     for i in range(3):
-        sound = sound and abs(state["gyro_bias_rad_s"][i]) < math.inf
-        sound = sound and abs(state["velocity_ned_m_s"][i]) < math.inf
-        sound = sound and abs(state["force_ned_m_s2"][i]) < math.inf
-        sound = sound and abs(state["smooth_rate_rad_s"][i]) < math.inf
+        sound = sound and state["covariance"][i, i] > 0.0
+        for j in range(3):
+            sound = sound and abs(state["gyro_matrix"][i, j]) < 1.0
+    for vector in (
+        state["gyro_bias_rad_s"],
+        state["accel_bias_m_s2"],
+        state["velocity_ned_m_s"],
+        state["force_ned_m_s2"],
+        state["smooth_rate_rad_s"],
+    ):
+        for i in range(3):
+            sound = sound and abs(vector[i]) < math.inf
     if not sound:
         for i in range(4):
             q[i] = 1.0 if i == 0 else 0.0
         for i in range(3):
-            state["gyro_bias_rad_s"][i] = 0.0
+            state["gyro_bias_rad_s"][i] = state["accel_bias_m_s2"][i] = 0.0
+            for j in range(3):
+                state["gyro_matrix"][i, j] = 0.0
     return bool(sound)
 
 
@@ -95,9 +125,12 @@ def first_attitude(state: Record, gyro: Floats, accel: Floats) -> None:
     for i in range(3):
         state["rate_rad_s"][i] = gyro[i] - state["gyro_bias_rad_s"][i]
         state["smooth_rate_rad_s"][i] = state["rate_rad_s"][i]
+        state["accel_before_m_s2"][i] = accel[i]
         state["force_ned_m_s2"][i] = (
             dcm[i, 0] * accel[0] + dcm[i, 1] * accel[1] + dcm[i, 2] * accel[2]
         )
+        state["force_before_ned_m_s2"][i] = state["force_ned_m_s2"][i]
+    state["interval_before_s"] = 0.0
     state["aligned_samples"] = 1
 
 
@@ -134,11 +167,7 @@ def _take_rest_bias(state: Record) -> None:
     p = state["covariance"]
     for i in range(3):
         state["gyro_bias_rad_s"][i] = state["gyro_sum_rad_s"][i] / count
-        for j in range(ERROR_STATES):
-            p[3 + i, j] = 0.0
-            p[j, 3 + i] = 0.0
-    for i in range(3):
-        p[3 + i, 3 + i] = REST_BIAS_SIGMA_RAD_S**2
+        mekf.forget(p, GYRO_BIAS + i, REST_BIAS_SIGMA_RAD_S**2)
 
 
 @kernel

@@ -5,14 +5,19 @@ norm(dw/dt) < eps_alpha, the innovation is within its expected size and no axis 
 is a value: the bits of records.Gate name every limit that was exceeded.
 
 A horizontal acceleration a_h moves norm(f) by about a_h^2 / (2 g) only: a norm gate of width eps
-admits a_h up to sqrt(2 g eps), which is a tilt error of about sqrt(2 eps / g) rad.
+admits a_h up to sqrt(2 g eps), which is a tilt error of about sqrt(2 eps / g) rad. The paper's
+width for a_a = 0.17 m/s^2 (1 deg of tilt) is 1.5 m/s^2 and so lets 5.6 m/s^2 (30 deg) pass; what
+holds such turns off is the limit of norm(w). A budget stated as a tilt has no such gap, but needs
+S() to stay open at all: 1 deg is a width of 1.5 mm/s^2. `limits` resolves either.
 """
 
 import math
+from dataclasses import replace
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats, Gate
+from ahrs_service.settings import GateSettings, Settings
 
 _NORM = int(Gate.NORM)
 _RATE = int(Gate.RATE)
@@ -78,3 +83,29 @@ def angular_acceleration_limit(
     """
     arm = math.hypot(arm_m[0], arm_m[2])
     return acceleration_m_s2 / arm + steady_sigma_rad_s2
+
+
+def limits(settings: Settings) -> GateSettings:
+    """Return the gate's limits: from `gate_budget` where that states one, else as set explicitly.
+
+    Applying it to settings that have its result for their `gate` gives the same again.
+    """
+    budget, gate = settings.gate_budget, settings.gate
+    if budget.acceleration_m_s2 is not None:
+        norm = norm_limit_from_acceleration(budget.acceleration_m_s2, budget.norm_sigma_m_s2)
+        gate = replace(gate, norm_m_s2=norm)
+    elif budget.tilt_deg is not None:
+        norm = norm_limit_from_tilt(math.radians(budget.tilt_deg), budget.norm_sigma_m_s2)
+        gate = replace(gate, norm_m_s2=norm)
+    if budget.centripetal_m_s2 is not None:
+        arm_m = math.hypot(*budget.arm_m)
+        rate = rate_limit(
+            budget.centripetal_m_s2, budget.turn_radius_m, arm_m, budget.rate_sigma_rad_s
+        )
+        gate = replace(gate, rate_rad_s=rate)
+    if budget.tangential_m_s2 is not None:
+        angular = angular_acceleration_limit(
+            budget.tangential_m_s2, budget.arm_m, budget.angular_acceleration_sigma_rad_s2
+        )
+        gate = replace(gate, angular_acceleration_rad_s2=angular)
+    return gate

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.fusion.mekf import apply_correction, correct_state
-from ahrs_service.fusion.strapdown import ERROR_STATES
+from ahrs_service.fusion.states import ERROR_STATES
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats, Record
 from ahrs_service.rotation import from_rotation_vector, matrix, multiply, normalise
@@ -76,5 +76,5 @@ def correct(settings: Record, state: Record, mag: Floats, dt_s: float) -> None:
     correct_state(state["covariance"], correction, state["states"], 2, error, variance)
     # A magnetic error must not tilt the horizon through the cross terms.
     correction[0] = correction[1] = 0.0
-    apply_correction(state, state["states"], correction)
+    apply_correction(state, correction)
     matrix(state["ned_from_body"], state["dcm"])

@@ -1,7 +1,8 @@
-"""The multiplicative error-state Kalman filter's corrections (Lefferts, Markley, Shuster 1982).
+"""The multiplicative error-state Kalman filter (Lefferts, Markley, Shuster 1982).
 
 The error angle psi is about earth axes: q_true = dq(psi) * q. Every measurement is a scalar, taken
 one after the other into a correction vector that is moved into the state at the end of a turn.
+Only the first `states` of the error states are in use; that number is a multiple of 3.
 """
 
 import math
@@ -9,10 +10,99 @@ import math
 import numpy as np
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.fusion.strapdown import ERROR_STATES
+from ahrs_service.fusion.states import (
+    ACCEL_BIAS,
+    ERROR_STATES,
+    GATED,
+    GYRO_BIAS,
+    GYRO_MATRIX,
+    LAG,
+    VELOCITY,
+    WIND,
+)
 from ahrs_service.kernel import kernel
-from ahrs_service.records import Floats
-from ahrs_service.rotation import from_rotation_vector, multiply, normalise
+from ahrs_service.records import Floats, Record
+from ahrs_service.rotation import from_rotation_vector, matrix, multiply, normalise
+
+
+@kernel
+def propagate(
+    p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats
+) -> None:
+    """Propagate the covariance `p` [n, n] over an interval, without noise.
+
+    `rotation_s` [3, 3] is the integral of C_nb [s], `rate` [3] the mean measured rate [rad/s],
+    `impulse` [3] the integral of the specific force in earth axes [m/s]:
+
+        psi' = psi - rotation_s (bias + matrix rate)
+        v'   = v + psi x impulse - rotation_s accelerometer_bias
+
+    The rows are turned for all columns; of the columns only where row and column change both.
+    """
+    if states > GATED:
+        _turn_velocity_rows(p, states, rotation_s, impulse)
+    _turn_angle_rows(p, states, rotation_s, rate)
+    changed = 6 if states > GATED else 3
+    for n in range(changed):
+        row = n if n < 3 else n - 3 + VELOCITY
+        _turn_row(p[row], states, rotation_s, rate, impulse)
+    for n in range(changed):
+        row = n if n < 3 else n - 3 + VELOCITY
+        for j in range(states):
+            if j > row or GYRO_BIAS <= j < VELOCITY:
+                p[j, row] = p[row, j]
+
+
+@kernel
+def _turn_velocity_rows(p: Floats, states: int, rotation_s: Floats, impulse: Floats) -> None:
+    a, b, c = impulse[0], impulse[1], impulse[2]
+    for j in range(states):
+        x, y, z = p[0, j], p[1, j], p[2, j]
+        u, v, w = p[ACCEL_BIAS, j], p[ACCEL_BIAS + 1, j], p[ACCEL_BIAS + 2, j]
+        p[VELOCITY, j] += (
+            y * c - z * b - (rotation_s[0, 0] * u + rotation_s[0, 1] * v + rotation_s[0, 2] * w)
+        )
+        p[VELOCITY + 1, j] += (
+            z * a - x * c - (rotation_s[1, 0] * u + rotation_s[1, 1] * v + rotation_s[1, 2] * w)
+        )
+        p[VELOCITY + 2, j] += (
+            x * b - y * a - (rotation_s[2, 0] * u + rotation_s[2, 1] * v + rotation_s[2, 2] * w)
+        )
+
+
+@kernel
+def _turn_angle_rows(p: Floats, states: int, rotation_s: Floats, rate: Floats) -> None:
+    a, b, c = rate[0], rate[1], rate[2]
+    m = GYRO_MATRIX
+    for j in range(states):
+        x, y, z = p[GYRO_BIAS, j], p[GYRO_BIAS + 1, j], p[GYRO_BIAS + 2, j]
+        if states > GATED:
+            x += a * p[m, j] + b * p[m + 1, j] + c * p[m + 2, j]
+            y += a * p[m + 3, j] + b * p[m + 4, j] + c * p[m + 5, j]
+            z += a * p[m + 6, j] + b * p[m + 7, j] + c * p[m + 8, j]
+        for i in range(3):
+            p[i, j] -= rotation_s[i, 0] * x + rotation_s[i, 1] * y + rotation_s[i, 2] * z
+
+
+@kernel
+def _turn_row(
+    x: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats
+) -> None:
+    """Apply the transition to one row [n]; velocity first, by the angle before."""
+    a, b, c = x[GYRO_BIAS], x[GYRO_BIAS + 1], x[GYRO_BIAS + 2]
+    if states > GATED:
+        x[VELOCITY] += x[1] * impulse[2] - x[2] * impulse[1]
+        x[VELOCITY + 1] += x[2] * impulse[0] - x[0] * impulse[2]
+        x[VELOCITY + 2] += x[0] * impulse[1] - x[1] * impulse[0]
+        for i in range(3):
+            for k in range(3):
+                x[VELOCITY + i] -= rotation_s[i, k] * x[ACCEL_BIAS + k]
+        for k in range(3):
+            a += rate[k] * x[GYRO_MATRIX + k]
+            b += rate[k] * x[GYRO_MATRIX + 3 + k]
+            c += rate[k] * x[GYRO_MATRIX + 6 + k]
+    for i in range(3):
+        x[i] -= rotation_s[i, 0] * a + rotation_s[i, 1] * b + rotation_s[i, 2] * c
 
 
 @kernel
@@ -33,15 +123,24 @@ def tilt_from_force(force_ned: Floats, tilt: Floats) -> None:
 
 
 @kernel
-def _correct(p: Floats, correction: Floats, states: int, ph: Floats, s: float, innovation: float) -> None:
-    """Take one scalar innovation of variance `s`, `ph` being P h, into both."""
-    scale = 1.0 / s
-    for i in range(states):
-        a = ph[i]
-        correction[i] += a * scale * innovation
-        for j in range(states):
-            # In this order the product is the same for (i, j) and (j, i).
-            p[i, j] -= (a * ph[j]) * scale
+def correct(
+    p: Floats, correction: Floats, states: int, h: Floats, innovation: float, variance: float
+) -> float:
+    """Measure h . x, `innovation` by the state as it was; return its square in variances.
+
+    `h` [n] is looked at by threes, so one of few parts costs little.
+    """
+    ph = np.zeros(ERROR_STATES)
+    for j in range(0, states, 3):
+        x, y, z = h[j], h[j + 1], h[j + 2]
+        if x != 0.0 or y != 0.0 or z != 0.0:
+            for i in range(states):
+                ph[i] += x * p[j, i] + y * p[j + 1, i] + z * p[j + 2, i]
+            innovation -= x * correction[j] + y * correction[j + 1] + z * correction[j + 2]
+    for j in range(states):
+        variance += h[j] * ph[j]
+    _take(p, correction, states, ph, innovation, variance)
+    return innovation * innovation / variance
 
 
 @kernel
@@ -49,98 +148,95 @@ def correct_state(
     p: Floats, correction: Floats, states: int, state: int, measured: float, variance: float
 ) -> None:
     """Measure one error state directly."""
-    ph = np.empty(ERROR_STATES)
-    for i in range(states):
-        ph[i] = p[i, state]
-    _correct(p, correction, states, ph, p[state, state] + variance, measured - correction[state])
-
-
-@kernel
-def correct_by(
-    p: Floats, correction: Floats, states: int, h: Floats, innovation: float, variance: float, limit: float
-) -> float:
-    """Measure h . x; return the normalised innovation squared. Beyond `limit` sigmas the variance is widened to that."""
     ph = np.zeros(ERROR_STATES)
-    expected = 0.0
-    for j in range(states):
-        if h[j] != 0.0:
-            expected += h[j] * correction[j]
-            for i in range(states):
-                ph[i] += p[j, i] * h[j]
-    s = variance
-    for j in range(states):
-        s += h[j] * ph[j]
-    nu = innovation - expected
-    nis = nu * nu / s
-    if nis > limit * limit:
-        s = max(s, abs(nu) / limit * math.sqrt(s))
-    _correct(p, correction, states, ph, s, nu)
-    return nis
+    for i in range(states):
+        ph[i] = p[state, i]
+    _take(p, correction, states, ph, measured - correction[state], p[state, state] + variance)
 
 
 @kernel
-def correct_body_velocity(
-    p: Floats,
-    correction: Floats,
-    states: int,
-    axis: Floats,
-    velocity: Floats,
-    innovation_m_s: float,
-    variance: float,
-    drag_s: float,
-    number: int,
-    limit: float,
-) -> float:
-    """Measure the air velocity along one body axis, `axis` [3] being that axis in earth axes.
-
-    v_body = axis . (v - wind), so h = (axis x v, 0, axis) for the error states (psi, bias, velocity).
-    Where drag tells it, v = -T f, accelerometer bias comes in by T.
-    """
-    h = np.zeros(ERROR_STATES)
-    h[0] = axis[1] * velocity[2] - axis[2] * velocity[1]
-    h[1] = axis[2] * velocity[0] - axis[0] * velocity[2]
-    h[2] = axis[0] * velocity[1] - axis[1] * velocity[0]
-    for i in range(3):
-        h[6 + i] = axis[i]
-    if states > 9:
-        # measured -T (f + ba) = v  ->  innovation = v - v_est  - T dba
-        h[9 + number] = -drag_s
-    if states > 21:
-        h[21] = -axis[0]
-        h[22] = -axis[1]
-    return correct_by(p, correction, states, h, innovation_m_s, variance, limit)
-
-
-@kernel
-def correct_tilt(p: Floats, correction: Floats, states: int, dcm: Floats, axis: int, measured: float, variance: float) -> None:
-    """Measure the error angle about north (0) or east (1) by gravity, accelerometer bias included."""
-    h = np.zeros(ERROR_STATES)
-    h[axis] = 1.0
-    if states > 9:
-        for i in range(3):
-            h[9 + i] = (-dcm[1, i] if axis == 0 else dcm[0, i]) / STANDARD_GRAVITY_M_S2
-    correct_by(p, correction, states, h, measured, variance, 1e9)
-
-
-@kernel
-def apply_correction(state, states: int, correction: Floats
+def _take(
+    p: Floats, correction: Floats, states: int, ph: Floats, innovation: float, variance: float
 ) -> None:
-    """Move the correction into the state; the averaged force [3] turns with the attitude."""
-    x, y, z = correction[0], correction[1], correction[2]
-    q = state["ned_from_body"]
-    multiply(from_rotation_vector(x, y, z), q, q)
-    normalise(q)
-    force_ned = state["force_ned_m_s2"]
-    a, b, c = force_ned[0], force_ned[1], force_ned[2]
-    force_ned[0] = a + y * c - z * b
-    force_ned[1] = b + z * a - x * c
-    force_ned[2] = c + x * b - y * a
+    """Take one innovation of `variance`, `ph` [n] being P h, into correction and covariance."""
+    scale = 1.0 / variance
+    for i in range(states):
+        x = ph[i]
+        correction[i] += x * scale * innovation
+        for j in range(states):
+            # In this order the product is the same for (i, j) and (j, i).
+            p[i, j] -= (x * ph[j]) * scale
+
+
+@kernel
+def correct_tilt(
+    state: Record, correction: Floats, h: Floats, axis: int, variance: float
+) -> None:
+    """Measure the error angle about north (0) or east (1) by gravity; `h` [n] comes and goes zero.
+
+    What the accelerometer's bias adds: -(C b)_E / g about north, (C b)_N / g about east.
+    """
+    dcm = state["dcm"]
+    h[axis] = 1.0
     for i in range(3):
-        state["gyro_bias_rad_s"][i] += correction[3 + i]
-        state["velocity_ned_m_s"][i] += correction[6 + i]
-        state["accel_bias_m_s2"][i] += correction[9 + i]
+        bias = -dcm[1, i] if axis == 0 else dcm[0, i]
+        h[ACCEL_BIAS + i] = bias / STANDARD_GRAVITY_M_S2
+    measured = state["tilt_innovation_rad"][axis]
+    correct(state["covariance"], correction, state["states"], h, measured, variance)
+    h[axis] = 0.0
+    h[ACCEL_BIAS] = h[ACCEL_BIAS + 1] = h[ACCEL_BIAS + 2] = 0.0
+
+
+@kernel
+def apply_correction(state: Record, correction: Floats) -> None:
+    """Move the correction into the state; the averaged force turns with the attitude."""
+    x, y, z = correction[0], correction[1], correction[2]
+    multiply(from_rotation_vector(x, y, z), state["ned_from_body"], state["ned_from_body"])
+    normalise(state["ned_from_body"])
+    matrix(state["ned_from_body"], state["dcm"])
+    force = state["force_ned_m_s2"]
+    a, b, c = force[0], force[1], force[2]
+    force[0] = a + y * c - z * b
+    force[1] = b + z * a - x * c
+    force[2] = c + x * b - y * a
+    for i in range(3):
+        state["gyro_bias_rad_s"][i] += correction[GYRO_BIAS + i]
+    if state["states"] == GATED:
+        return
+    for i in range(3):
+        added = correction[VELOCITY + i]
+        state["velocity_ned_m_s"][i] += added
+        # The velocity that a correction adds turns with the attitude as that of an impulse does
+        # (the error state of an invariant filter: Barrau, Bonnabel 2017).
+        state["turn_impulse_m_s"][i] += added
+        state["accel_bias_m_s2"][i] += correction[ACCEL_BIAS + i]
         for j in range(3):
-            state["gyro_matrix"][i, j] += correction[12 + 3 * i + j]
-    state["wind_m_s"][0] += correction[21]
-    state["wind_m_s"][1] += correction[22]
-    state["lag_s"] = min(max(state["lag_s"] + correction[23], 1e-6), 1.0)
+            state["gyro_matrix"][i, j] += correction[GYRO_MATRIX + 3 * i + j]
+    state["wind_ned_m_s"][0] += correction[WIND]
+    state["wind_ned_m_s"][1] += correction[WIND + 1]
+    state["velocity_lag_s"] += correction[LAG]
+
+
+@kernel
+def turn_about_down(state: Record, angle_rad: float) -> None:
+    """Turn all that is told in earth axes: attitude, velocity, force and their covariance."""
+    q, c, s = state["ned_from_body"], math.cos(angle_rad), math.sin(angle_rad)
+    multiply(from_rotation_vector(0.0, 0.0, angle_rad), q, q)
+    normalise(q)
+    matrix(q, state["dcm"])
+    for vector in (state["velocity_ned_m_s"], state["force_ned_m_s2"], state["wind_ned_m_s"]):
+        vector[0], vector[1] = c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]
+    p = state["covariance"]
+    for k in (0, VELOCITY, WIND):
+        for i in range(ERROR_STATES):
+            p[k, i], p[k + 1, i] = c * p[k, i] - s * p[k + 1, i], s * p[k, i] + c * p[k + 1, i]
+        for i in range(ERROR_STATES):
+            p[i, k], p[i, k + 1] = c * p[i, k] - s * p[i, k + 1], s * p[i, k] + c * p[i, k + 1]
+
+
+@kernel
+def forget(p: Floats, state: int, variance: float) -> None:
+    """Set one error state to `variance`, independent of all others."""
+    for i in range(ERROR_STATES):
+        p[state, i] = p[i, state] = 0.0
+    p[state, state] = variance

@@ -1,20 +1,23 @@
-"""What is known of the vehicle's velocity: bounded by its class, zero at rest, or measured.
+"""What is known of the vehicle's velocity through the air: its class, drag, airspeed, the wind.
 
 The filter integrates the specific force to a velocity. A wrong tilt makes it run away by g psi t,
-which the bound on the velocity shows; the acceleration of a turn does not, since it comes with the
+which a bound on the velocity shows; the acceleration of a turn does not, since it comes with the
 velocity that turns. A fixed wing moves along its nose, so its velocity along y and z is about 0
-and the centripetal force in a turn is explained without any speed sensor.
+and the centripetal force in a turn is explained without any speed sensor. Where the air resists a
+motion along an axis, the accelerometer shows it (Leishman et al. 2014 for rotors; a fixed wing's
+side force and lift likewise):
+
+    f = f0 - v / T,    v = -T (f - f0)
+
+T [s] by class and axis, f0 = -g along z in level flight, else 0.
 """
 
 import math
 from typing import Final
 
-import numpy as np
-
-from ahrs_service.fusion.mekf import correct_body_velocity, correct_state, correct_tilt
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.fusion.rest import CONFIRM_S
-from ahrs_service.fusion.strapdown import WIND
+from ahrs_service.fusion.mekf import correct, correct_state
+from ahrs_service.fusion.states import ACCEL_BIAS, AIDED, VELOCITY, WIND
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Airframe, Floats, Record
 
@@ -22,22 +25,11 @@ MOTION_FIELDS: Final = [
     ("velocity_ned_m_s", "f8", 3),
     ("airspeed_m_s", "f8"),
     ("airspeed_time_ns", "i8"),
-    ("at_rest", "i8"),
-    ("velocity_nis", "f8", 3),
 ]
 """Fields of the pipeline's state that this module keeps."""
 
-WIND_SIGMA_M_S: Final = 5.0
-"""Velocity is that over ground at rest and through the air in flight; the wind lies between."""
-REST_VELOCITY_SIGMA_M_S: Final = 0.1
-REST_VELOCITY_CORRELATION_S: Final = 0.1
-REST_RATE_CORRELATION_S: Final = 0.2
-LONG_REST_S: Final = 5.0
-REST_FORCE_FLOOR_M_S2: Final = 0.02
-REST_FORCE_CORRELATION_S: Final = 0.4
-REST_BIAS_GATE: Final = 3.0
-REST_BIAS_FLOOR_RAD_S: Final = 0.01
-"""A bias may step by this between power-on and flight and is still learnt [rad/s]."""
+DRAG_SHARE: Final = 0.3
+"""By how much T may be wrong: size and loading differ within a class."""
 AIRSPEED_SIGMA_M_S: Final = 2.0
 """Position error of a pitot tube, scale included, on a small UAV [m/s]."""
 AIRSPEED_CORRELATION_S: Final = 1.0
@@ -57,101 +49,64 @@ def hear_airspeed(state: Record, sample: Record) -> None:
 
 
 @kernel
-def _is_known_to_move(state: Record) -> bool:
-    """Return whether a speed is measured or known that a vehicle at rest does not have."""
-    now = state["time_ns"]
-    if now - state["airspeed_time_ns"] < AIRSPEED_VALID_NS and state["airspeed_m_s"] > 6.0:
-        return True
-    if now - state["measured_time_ns"] < 1_500_000_000:
-        v = state["measured_velocity_m_s"]
-        if v[0] * v[0] + v[1] * v[1] > 4.0:
-            return True
-    for i in range(3):
-        v2 = state["velocity_ned_m_s"][i] ** 2
-        if v2 > 25.0 * state["covariance"][6 + i, 6 + i]:
-            return True
-    return False
-
-
-@kernel
-def come_to_rest(state: Record) -> bool:
-    """Return whether the vehicle is at rest; a change of that brings the wind into the velocity."""
-    at_rest = state["rest_s"] > CONFIRM_S and not _is_known_to_move(state)
-    if at_rest != (state["at_rest"] != 0):
-        state["at_rest"] = 1 if at_rest else 0
-        for i in range(2 if state["states"] <= WIND else 0):
-            state["covariance"][6 + i, 6 + i] += WIND_SIGMA_M_S**2
-    return bool(at_rest)
-
-
-@kernel
-def hold_at_rest(state: Record, correction: Floats, dt_s: float, rate_sigma: float) -> None:
-    """Measure velocity 0 and, where the rate is within its bounds, the gyro bias."""
-    p = state["covariance"]
-    slow = max(1.0, REST_VELOCITY_CORRELATION_S / dt_s)
-    for i in range(3):
-        velocity = state["velocity_ned_m_s"][i]
-        correct_state(p, correction, state["states"], 6 + i, -velocity, REST_VELOCITY_SIGMA_M_S**2 * slow)
-    force2 = state["force_variance"] / 3.0 + REST_FORCE_FLOOR_M_S2**2
-    slow = max(1.0, REST_FORCE_CORRELATION_S / dt_s)
-    for axis in range(2):
-        measured = state["tilt_innovation_rad"][axis]
-        variance = force2 / STANDARD_GRAVITY_M_S2**2 * slow
-        correct_tilt(p, correction, state["states"], state["dcm"], axis, measured, variance)
-    slow = max(1.0, REST_RATE_CORRELATION_S / dt_s)
-    for i in range(3):
-        rate = state["mean_rate_rad_s"][i] - state["gyro_bias_rad_s"][i]
-        bound2 = p[3 + i, 3 + i] + REST_BIAS_FLOOR_RAD_S**2
-        if rate * rate > REST_BIAS_GATE**2 * p[3 + i, 3 + i] and state["rest_s"] > LONG_REST_S:
-            p[3 + i, 3 + i] += rate * rate / REST_BIAS_GATE**2 * dt_s
-        if rate * rate < REST_BIAS_GATE**2 * bound2:
-            correct_state(p, correction, state["states"], 3 + i, rate, rate_sigma**2 * slow)
-
-
-@kernel
-def bound_velocity(
-    settings: Record,
-    state: Record,
-    airframe: int,
-    correction: Floats,
-    dt_s: float,
-) -> None:
-    """Measure the velocity along each body axis by what the airframe can do, or by airspeed."""
-    axis = np.empty(3)
-    velocity = state["velocity_ned_m_s"]
-    for i in range(3):
-        along = 0.0
-        for j in range(3):
-            axis[j] = state["dcm"][j, i]
-            along += axis[j] * (velocity[j] - (state["wind_m_s"][j] if j < 2 else 0.0))
-        expected = settings["forward_speed_m_s"][airframe] if i == 0 else 0.0
-        sigma = settings["velocity_sigma_m_s"][airframe, i]
-        correlation_s = settings["velocity_correlation_s"][airframe, i]
-        if i == 0 and _airspeed_is_usable(settings, state, airframe):
-            expected = state["airspeed_m_s"]
-            sigma, correlation_s = AIRSPEED_SIGMA_M_S, AIRSPEED_CORRELATION_S
-        drag_s = settings["drag_s"][airframe, i]
-        if drag_s > 0.0 and state["turn_force_s"] > 0.0:
-            force = state["turn_force_m_s"][i] / state["turn_force_s"]
-            lift = -STANDARD_GRAVITY_M_S2 if i == 2 else 0.0
-            expected -= drag_s * (force - lift)
-            extra = settings["drag_error"][airframe] * drag_s * (force - lift)
-            sigma = math.sqrt(sigma * sigma + extra * extra)
-        else:
-            drag_s = 0.0
-        variance = sigma * sigma * max(1.0, correlation_s / dt_s)
-        state["velocity_nis"][i] = correct_body_velocity(
-            state["covariance"], correction, state["states"], axis, velocity, expected - along, variance, drag_s, i,
-            settings["velocity_limit"],
-        )
-    sigma = settings["climb_sigma_m_s"][airframe]
-    if sigma > 0.0:
-        variance = sigma * sigma * max(1.0, settings["climb_correlation_s"][airframe] / dt_s)
-        correct_state(state["covariance"], correction, state["states"], 8, -velocity[2], variance)
+def airspeed_is_fresh(state: Record) -> bool:
+    """Return whether the airspeed is of the last second."""
+    return bool(state["time_ns"] - state["airspeed_time_ns"] < AIRSPEED_VALID_NS)
 
 
 @kernel
 def _airspeed_is_usable(settings: Record, state: Record, airframe: int) -> bool:
-    fresh = state["time_ns"] - state["airspeed_time_ns"] < AIRSPEED_VALID_NS
     flown = settings["use_airspeed"] != 0 and airframe == _FIXED_WING
-    return flown and fresh and state["airspeed_m_s"] > AIRSPEED_MIN_M_S
+    return flown and airspeed_is_fresh(state) and state["airspeed_m_s"] > AIRSPEED_MIN_M_S
+
+
+@kernel
+def bound_velocity(
+    settings: Record, state: Record, airframe: int, correction: Floats, h: Floats, dt_s: float
+) -> None:
+    """Measure the velocity through the air by what the airframe can do, or by airspeed.
+
+    `h` [n] comes and goes zero. With axis a of the body in earth axes, v_body = a . (v - wind), so
+    h = (a x (v - wind), a, -a) for the errors of angle, velocity and wind.
+    """
+    for i in range(3):
+        expected = settings["forward_speed_m_s"][airframe] if i == 0 else 0.0
+        sigma = settings["velocity_sigma_m_s"][airframe, i]
+        correlation_s = settings["velocity_correlation_s"][airframe, i]
+        drag_s = settings["drag_s"][airframe, i]
+        if i == 0 and _airspeed_is_usable(settings, state, airframe):
+            expected = state["airspeed_m_s"]
+            sigma, correlation_s, drag_s = AIRSPEED_SIGMA_M_S, AIRSPEED_CORRELATION_S, 0.0
+        if state["turn_force_s"] > 0.0 and drag_s > 0.0:
+            level = -STANDARD_GRAVITY_M_S2 if i == 2 else 0.0
+            by_drag = -drag_s * (state["turn_force_m_s"][i] / state["turn_force_s"] - level)
+            expected += by_drag
+            sigma = math.sqrt(sigma * sigma + (DRAG_SHARE * by_drag) ** 2)
+            h[ACCEL_BIAS + i] = -drag_s
+        variance = sigma * sigma * max(1.0, correlation_s / dt_s)
+        _correct_along(state, correction, h, i, expected, variance)
+        h[ACCEL_BIAS + i] = 0.0
+    sigma = settings["climb_sigma_m_s"][airframe]
+    variance = sigma * sigma * max(1.0, settings["climb_correlation_s"][airframe] / dt_s)
+    climbed = state["velocity_ned_m_s"][2]
+    correct_state(
+        state["covariance"], correction, state["states"], VELOCITY + 2, -climbed, variance
+    )
+
+
+@kernel
+def _correct_along(
+    state: Record, correction: Floats, h: Floats, i: int, expected: float, variance: float
+) -> None:
+    """Measure the velocity through the air along body axis `i`."""
+    velocity, wind, dcm = state["velocity_ned_m_s"], state["wind_ned_m_s"], state["dcm"]
+    x, y, z = dcm[0, i], dcm[1, i], dcm[2, i]
+    u, v, w = velocity[0] - wind[0], velocity[1] - wind[1], velocity[2]
+    h[0], h[1], h[2] = y * w - z * v, z * u - x * w, x * v - y * u
+    h[VELOCITY], h[VELOCITY + 1], h[VELOCITY + 2] = x, y, z
+    if state["states"] == AIDED:
+        h[WIND], h[WIND + 1] = -x, -y
+    innovation = expected - (x * u + y * v + z * w)
+    correct(state["covariance"], correction, state["states"], h, innovation, variance)
+    for j in range(3):
+        h[j] = h[VELOCITY + j] = h[WIND + j] = 0.0

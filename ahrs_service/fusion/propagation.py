@@ -1,6 +1,6 @@
 """From sample to sample: attitude and velocity move at once, the covariance once per turn.
 
-A turn is at least 20 ms long; between turns the integrals that the covariance needs are gathered,
+A turn is at least 50 ms long; between turns the integrals that the covariance needs are gathered,
 so a fast IMU costs little more than a slow one.
 """
 
@@ -8,8 +8,9 @@ import math
 from typing import Final
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.fusion import strapdown
+from ahrs_service.fusion import mekf, strapdown
 from ahrs_service.fusion.alignment import bound_attitude
+from ahrs_service.fusion.states import ACCEL_BIAS, AIDED, GATED, GYRO_BIAS, VELOCITY, WIND
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Flag, Floats, Record
 from ahrs_service.rotation import matrix
@@ -18,19 +19,32 @@ PROPAGATION_FIELDS: Final = [
     ("turn_s", "f8"),
     ("turn_rotation_s", "f8", (3, 3)),
     ("turn_impulse_m_s", "f8", 3),
-    ("turn_angle_rad", "f8", 3),
+    ("turn_gyro_rad", "f8", 3),
     ("turn_force_m_s", "f8", 3),
     ("turn_force_s", "f8"),
     ("turn_angle_variance", "f8"),
     ("turn_velocity_variance", "f8"),
+    ("turn_degc", "f8"),
+    ("rate_earlier_rad_s", "f8", 3),
+    ("accel_before_m_s2", "f8", 3),
+    ("force_before_ned_m_s2", "f8", 3),
+    ("arc_force_m_s2", "f8", 3),
+    ("interval_before_s", "f8"),
 ]
 """Fields of the pipeline's state that this module keeps."""
 
-TURN_S: Final = 0.02
+TURN_S: Final = 0.05
+"""Corrections 20 times a second follow what drifts over seconds; shorter turns gain nothing."""
 GAP_RATE_SIGMA_RAD_S: Final = 1.0
 """What a small UAV may have turned, per second that no sample came [rad/s]."""
 GAP_FORCE_SIGMA_M_S2: Final = 3.0
 """And how it may have accelerated [m/s^2]."""
+REST_FORCE_CORRELATION_S: Final = 0.1
+"""How long a shake at rest pushes one way [s]."""
+WIND_WALK_M_S_RTS: Final = 0.1
+"""Wind changes by 2 m/s in some 6 minutes of flight or with 100 m of height [m/s per sqrt(s)]."""
+ACCEL_BIAS_WALK: Final = 1e-3
+"""Of the accelerometer, by warm-up: 0.02 m/s^2 in some minutes [m/s^2 per sqrt(s)]."""
 
 _GAP = int(Flag.GAP)
 _ACCEL_MISSING = int(Flag.ACCEL_MISSING)
@@ -52,27 +66,26 @@ def move(
     stream widens the covariance by itself.
     """
     before, rate = state["rate_before_rad_s"], state["rate_rad_s"]
+    earlier, dcm, m = state["rate_earlier_rad_s"], state["dcm"], state["gyro_matrix"]
     change2 = rate2 = 0.0
     for i in range(3):
+        earlier[i] = before[i]
         before[i] = rate[i]
-        rate[i] = gyro[i] - state["gyro_bias_rad_s"][i]
-        state["turn_angle_rad"][i] += gyro[i] * dt_s
-    if state["states"] > strapdown.MATRIX:
-        m = state["gyro_matrix"]
-        for i in range(3):
-            rate[i] -= m[i, 0] * gyro[0] + m[i, 1] * gyro[1] + m[i, 2] * gyro[2]
-    for i in range(3):
+        crossed = m[i, 0] * gyro[0] + m[i, 1] * gyro[1] + m[i, 2] * gyro[2]
+        rate[i] = gyro[i] - state["gyro_bias_rad_s"][i] - crossed
+        state["turn_gyro_rad"][i] += gyro[i] * dt_s
         change2 += (rate[i] - before[i]) ** 2
         rate2 += rate[i] * rate[i]
     state["turn_angle_variance"] += settings["gyro_scale_error_rts"] ** 2 * rate2 * dt_s
     if flags & _GAP:
         state["turn_angle_variance"] += (GAP_RATE_SIGMA_RAD_S * dt_s) ** 2
+        state["interval_before_s"] = 0.0
     else:
         state["turn_angle_variance"] += change2 * dt_s * dt_s / 48.0
-        share = settings["gyro_share"]
-        strapdown.rotate(state["ned_from_body"], before, rate, dt_s, share)
+        before_s, is_mean = state["interval_before_s"], settings["samples_are_means"] != 0
+        state["interval_before_s"] = dt_s
+        strapdown.rotate(state["ned_from_body"], earlier, before, rate, before_s, dt_s, is_mean)
     _smooth_rate(settings, state, rate, dt_s)
-    dcm = state["dcm"]
     matrix(state["ned_from_body"], dcm)
     for i in range(3):
         for j in range(3):
@@ -104,55 +117,76 @@ def _move_velocity(
 ) -> None:
     """Integrate the specific force, and average it in earth axes, where gravity stands still."""
     weight = dt_s / (settings["smoothing_s"] + dt_s)
+    arc, before = state["arc_force_m_s2"], state["force_before_ned_m_s2"]
+    are_means = settings["samples_are_means"] != 0
+    if are_means:
+        _follow_arc(state, accel, dt_s, arc)
     norm2 = 0.0
     for i in range(3):
-        state["turn_force_m_s"][i] += accel[i] * dt_s
-    state["turn_force_s"] += dt_s
-    for i in range(3):
-        force = 0.0
-        for j in range(3):
-            force += state["dcm"][i, j] * accel[j]
+        row = state["dcm"][i]
+        force = row[0] * accel[0] + row[1] * accel[1] + row[2] * accel[2]
         norm2 += force * force
         state["force_ned_m_s2"][i] += weight * (force - state["force_ned_m_s2"][i])
-        state["turn_impulse_m_s"][i] += force * dt_s
-        state["velocity_ned_m_s"][i] += force * dt_s
+        state["turn_force_m_s"][i] += accel[i] * dt_s
+        mean = 0.5 * (before[i] + force)
+        if are_means:
+            mean = row[0] * arc[0] + row[1] * arc[1] + row[2] * arc[2]
+        before[i] = force
+        state["turn_impulse_m_s"][i] += mean * dt_s
+        state["velocity_ned_m_s"][i] += mean * dt_s
     state["velocity_ned_m_s"][2] += STANDARD_GRAVITY_M_S2 * dt_s
-    excess = settings["accel_scale_error"][airframe] * (math.sqrt(norm2) - STANDARD_GRAVITY_M_S2)
-    if state["at_rest"] != 0:
-        noise2 = state["force_variance"] * 0.1
-    else:
-        noise2 = settings["velocity_noise_m_s_rts"][airframe] ** 2 + excess * excess
-        noise2 += settings["vibration_noise"][airframe] ** 2 * state["force_variance"]
-    state["turn_velocity_variance"] += noise2 * dt_s
+    state["turn_force_s"] += dt_s
+    state["turn_velocity_variance"] += _velocity_noise2(settings, state, airframe, norm2) * dt_s
 
 
 @kernel
-def grow(settings: Record, state: Record, airframe: int) -> float:
-    """Propagate the covariance over the turn and begin the next; return the turn's length [s]."""
-    turn_s = state["turn_s"]
-    strapdown.grow_covariance(
-        state["covariance"],
-        state["states"],
-        state["turn_rotation_s"],
-        state["turn_angle_rad"],
-        state["turn_impulse_m_s"],
-        turn_s,
-    )
-    p = state["covariance"]
+def _velocity_noise2(settings: Record, state: Record, airframe: int, norm2: float) -> float:
+    """What shakes, and what error of scale, adds to the velocity's variance [m^2/s^3]."""
+    if state["at_rest"] != 0:
+        return float(state["force_variance"] * REST_FORCE_CORRELATION_S)
+    excess = settings["accel_scale_error"][airframe] * (math.sqrt(norm2) - STANDARD_GRAVITY_M_S2)
+    return float(settings["velocity_noise_m_s_rts"][airframe] ** 2 + excess * excess)
+
+
+@kernel
+def _follow_arc(state: Record, accel: Floats, dt_s: float, arc: Floats) -> None:
+    """Refer the mean force of the interval to the body axes at its end."""
+    before = state["accel_before_m_s2"]
+    strapdown.mean_force(state["rate_before_rad_s"], state["rate_rad_s"], before, accel, dt_s, arc)
+    for i in range(3):
+        before[i] = accel[i]
+
+
+@kernel
+def grow(settings: Record, state: Record, degc: float) -> None:
+    """Propagate the covariance over the turn, `degc` the sensor's temperature, NaN if unknown."""
+    p, states, turn_s = state["covariance"], state["states"], state["turn_s"]
+    rate = state["turn_gyro_rad"]
+    for i in range(3):
+        rate[i] /= turn_s
+    mekf.propagate(p, states, state["turn_rotation_s"], rate, state["turn_impulse_m_s"])
     angle = settings["gyro_noise_rad_s_rthz"] ** 2 * turn_s + state["turn_angle_variance"]
     bias = settings["gyro_bias_walk_rad_s2_rthz"] ** 2 * turn_s
-    force_bias = settings["accel_bias_walk"][airframe] ** 2 * turn_s
+    bias += settings["gyro_bias_per_rtdegc_rad_s"] ** 2 * _warmed(state, degc)
     for i in range(3):
         p[i, i] += angle
-        p[3 + i, 3 + i] += bias
-        if state["states"] > 6:
-            p[6 + i, 6 + i] += state["turn_velocity_variance"]
-        if state["states"] > 21 and i < 2:
-            p[21 + i, 21 + i] += settings["wind_walk"] ** 2 * turn_s
-        if state["states"] > 9:
-            p[9 + i, 9 + i] += force_bias
-    bound_attitude(state["covariance"])
-    return float(turn_s)
+        p[GYRO_BIAS + i, GYRO_BIAS + i] += bias
+        if states > GATED:
+            p[VELOCITY + i, VELOCITY + i] += state["turn_velocity_variance"]
+            p[ACCEL_BIAS + i, ACCEL_BIAS + i] += ACCEL_BIAS_WALK**2 * turn_s
+        if states == AIDED and i < 2:
+            p[WIND + i, WIND + i] += WIND_WALK_M_S_RTS**2 * turn_s
+    bound_attitude(p)
+
+
+@kernel
+def _warmed(state: Record, degc: float) -> float:
+    """By how much the temperature changed since the last turn [degC]."""
+    if math.isnan(degc):
+        return 0.0
+    change = abs(degc - state["turn_degc"])
+    state["turn_degc"] = degc
+    return 0.0 if math.isnan(change) else change
 
 
 @kernel
@@ -163,8 +197,8 @@ def begin_turn(state: Record) -> None:
     state["turn_velocity_variance"] = 0.0
     state["turn_force_s"] = 0.0
     for i in range(3):
-        state["turn_angle_rad"][i] = 0.0
-        state["turn_force_m_s"][i] = 0.0
         state["turn_impulse_m_s"][i] = 0.0
+        state["turn_gyro_rad"][i] = 0.0
+        state["turn_force_m_s"][i] = 0.0
         for j in range(3):
             state["turn_rotation_s"][i, j] = 0.0

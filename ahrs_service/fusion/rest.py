@@ -4,6 +4,9 @@ import math
 from typing import Final
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.fusion import aiding, mekf
+from ahrs_service.fusion.motion import airspeed_is_fresh
+from ahrs_service.fusion.states import AIDED, GYRO_BIAS, VELOCITY
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats, Record
 
@@ -13,6 +16,7 @@ REST_FIELDS: Final = [
     ("rate_variance", "f8"),
     ("force_variance", "f8"),
     ("rest_s", "f8"),
+    ("at_rest", "i8"),
 ]
 """Fields of the pipeline's state that this module keeps."""
 
@@ -22,6 +26,24 @@ FORCE_SIGMA_M_S2: Final = 0.3
 """An idle engine or a hand on the wing shake more than this [m/s^2]."""
 RATE_RAD_S: Final = 0.1
 FORCE_ERROR_M_S2: Final = 0.5
+MOVING_AIRSPEED_M_S: Final = 6.0
+"""Gusts on a pitot tube of a standing vehicle stay below this [m/s]."""
+MOVING_SPEED_M_S: Final = 2.0
+"""And the noise of a velocity by satellites below this [m/s]."""
+MOVING_SIGMA: Final = 5.0
+WIND_SIGMA_M_S: Final = 5.0
+"""Velocity is that over ground at rest and through the air in flight; the wind lies between."""
+VELOCITY_SIGMA_M_S: Final = 0.1
+VELOCITY_CORRELATION_S: Final = 0.1
+FORCE_FLOOR_M_S2: Final = 0.02
+FORCE_CORRELATION_S: Final = 0.4
+"""The averaged force forgets over this [s]."""
+RATE_CORRELATION_S: Final = 0.2
+BIAS_GATE: Final = 3.0
+BIAS_FLOOR_RAD_S: Final = 0.01
+"""A bias may step by this between power-on and flight and is still learnt [rad/s]."""
+LONG_REST_S: Final = 5.0
+"""After so much stillness a rate is a bias that has stepped, however well it was known [s]."""
 
 
 @kernel
@@ -45,3 +67,60 @@ def follow(state: Record, gyro: Floats, accel: Floats, dt_s: float, rate_sigma: 
         and abs(math.sqrt(force2) - STANDARD_GRAVITY_M_S2) < FORCE_ERROR_M_S2
     )
     state["rest_s"] = state["rest_s"] + dt_s if still else 0.0
+
+
+@kernel
+def come_to_rest(state: Record) -> bool:
+    """Return whether the vehicle is at rest; a change of that brings the wind into the velocity."""
+    at_rest = state["rest_s"] > CONFIRM_S and not _moves(state)
+    if at_rest != (state["at_rest"] != 0):
+        state["at_rest"] = 1 if at_rest else 0
+        if state["states"] != AIDED:
+            for i in range(2):
+                state["covariance"][VELOCITY + i, VELOCITY + i] += WIND_SIGMA_M_S**2
+    return bool(at_rest)
+
+
+@kernel
+def _moves(state: Record) -> bool:
+    """Return whether a speed is measured or known that no vehicle at rest has."""
+    if airspeed_is_fresh(state) and state["airspeed_m_s"] > MOVING_AIRSPEED_M_S:
+        return True
+    if aiding.is_fresh(state) and state["states"] == AIDED:
+        measured = state["measured_velocity_m_s"]
+        if measured[0] * measured[0] + measured[1] * measured[1] > MOVING_SPEED_M_S**2:
+            return True
+    for i in range(3):
+        velocity = state["velocity_ned_m_s"][i]
+        variance = state["covariance"][VELOCITY + i, VELOCITY + i]
+        if velocity * velocity > MOVING_SIGMA**2 * variance:
+            return True
+    return False
+
+
+@kernel
+def hold(state: Record, correction: Floats, h: Floats, dt_s: float, rate_sigma: float) -> None:
+    """Measure velocity 0, the tilt by the force, and the gyro's bias; `h` [n] comes and goes zero.
+
+    Velocity 0 along an earth axis a is a . v = 0 whatever the heading: h = (a x v, a).
+    """
+    p, states, velocity = state["covariance"], state["states"], state["velocity_ned_m_s"]
+    variance = VELOCITY_SIGMA_M_S**2 * max(1.0, VELOCITY_CORRELATION_S / dt_s)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        h[VELOCITY + i] = 1.0
+        h[j], h[k] = -velocity[k], velocity[j]
+        mekf.correct(p, correction, states, h, -velocity[i], variance)
+        h[VELOCITY + i] = h[j] = h[k] = 0.0
+    force2 = state["force_variance"] / 3.0 + FORCE_FLOOR_M_S2**2
+    variance = force2 / STANDARD_GRAVITY_M_S2**2 * max(1.0, FORCE_CORRELATION_S / dt_s)
+    for axis in range(2):
+        mekf.correct_tilt(state, correction, h, axis, variance)
+    variance = rate_sigma * rate_sigma * max(1.0, RATE_CORRELATION_S / dt_s)
+    for i in range(3):
+        n = GYRO_BIAS + i
+        rate = state["mean_rate_rad_s"][i] - state["gyro_bias_rad_s"][i]
+        if rate * rate > BIAS_GATE**2 * p[n, n] and state["rest_s"] > LONG_REST_S:
+            p[n, n] += rate * rate / BIAS_GATE**2 * dt_s
+        if rate * rate < BIAS_GATE**2 * (p[n, n] + BIAS_FLOOR_RAD_S**2):
+            mekf.correct_state(p, correction, states, n, rate, variance)

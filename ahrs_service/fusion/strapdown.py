@@ -1,92 +1,70 @@
-"""Strapdown integration of attitude and its covariance (Liu et al., sec. 4; Savage 1998)."""
-
-from typing import Final
+"""Strapdown integration (Liu et al., sec. 4; Savage 1998)."""
 
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats
 from ahrs_service.rotation import from_rotation_vector, multiply, normalise
 
-ERROR_STATES: Final = 24
-"""Error angle about north, east, down [rad], gyro bias x, y, z [rad/s], velocity n, e, d [m/s],
-accelerometer bias x, y, z [m/s^2], gyro matrix row by row [1], wind n, e [m/s], lag of velocity [s]."""
-
-BIAS: Final = 3
-VELOCITY: Final = 6
-ACCEL_BIAS: Final = 9
-MATRIX: Final = 12
-WIND: Final = 21
-LAG: Final = 23
 
 @kernel
-def rotate(q: Floats, rate_before: Floats, rate: Floats, dt_s: float, share: float) -> None:
-    """Turn `q` [4] by two successive gyro samples [rad/s].
+def rotate(
+    q: Floats,
+    rate_earlier: Floats,
+    rate_before: Floats,
+    rate: Floats,
+    before_s: float,
+    dt_s: float,
+    is_mean: bool,
+) -> None:
+    """Turn `q` [4] over `dt_s` by three gyro samples w0, w1, w2 [rad/s], `before_s` w0 to w1.
 
-    rotation vector = dt ((1 - share) w0 + share w1) + dt^2 (w0 x w1) / 12, the second term being
-    coning (Savage 1998, eq. 33, two-sample form). `share` is 1/2 where a sample is the rate of one
-    instant, and 1 where it is the mean since the sample before.
+    The rotation vector is dt w + dt^2 (k1 w1 + k0 w0) x w2. Where a sample is the rate of one
+    instant, w is the mean of the parabola through all three: third order, at uneven steps too.
+    Where it is the mean since the sample before, w = w2. In the coning term k1 and k0 cancel the
+    drift of pure coning to the fifth order of its frequency, the parabola's own error included
+    (as Ignagni 1990 does for means). `before_s` = 0, or below a quarter of `dt_s`: without w0.
     """
-    old, new = (1.0 - share) * dt_s, share * dt_s
-    coning = dt_s * dt_s / 12.0
-    x = (
-        old * rate_before[0]
-        + new * rate[0]
-        + coning * (rate_before[1] * rate[2] - rate_before[2] * rate[1])
-    )
-    y = (
-        old * rate_before[1]
-        + new * rate[1]
-        + coning * (rate_before[2] * rate[0] - rate_before[0] * rate[2])
-    )
-    z = (
-        old * rate_before[2]
-        + new * rate[2]
-        + coning * (rate_before[0] * rate[1] - rate_before[1] * rate[0])
-    )
+    recent = oldest = 0.0
+    if 4.0 * before_s >= dt_s:
+        per_area = dt_s / (before_s * (before_s + dt_s))
+        recent = before_s * per_area
+        oldest = dt_s * per_area / -6.0
+    if is_mean:
+        oldest, newest = 0.0, 1.0
+        cone_before, cone_earlier = recent * (8.0 - 2.0 * recent) / 30.0, recent / -30.0
+    else:
+        newest = (3.0 - recent) / 6.0
+        cone_before, cone_earlier = 2.0 / 15.0, recent / -20.0
+    middle = 1.0 - oldest - newest
+    a, b, c = rate_earlier, rate_before, rate
+    coning = dt_s * dt_s
+    u = coning * (cone_before * b[0] + cone_earlier * a[0])
+    v = coning * (cone_before * b[1] + cone_earlier * a[1])
+    w = coning * (cone_before * b[2] + cone_earlier * a[2])
+    x = dt_s * (oldest * a[0] + middle * b[0] + newest * c[0]) + v * c[2] - w * c[1]
+    y = dt_s * (oldest * a[1] + middle * b[1] + newest * c[1]) + w * c[0] - u * c[2]
+    z = dt_s * (oldest * a[2] + middle * b[2] + newest * c[2]) + u * c[1] - v * c[0]
     multiply(q, from_rotation_vector(x, y, z), q)
     normalise(q)
 
 
 @kernel
-def grow_covariance(
-    p: Floats, states: int, rotation_s: Floats, angle_rad: Floats, impulse: Floats, turn_s: float
+def mean_force(
+    rate_before: Floats, rate: Floats, force_before: Floats, force: Floats, dt_s: float, out: Floats
 ) -> None:
-    """Propagate the covariance `p` over an interval of integrals, `states` of its rows.
+    """Mean specific force over an interval, in the body axes at its end, of means of both sensors.
 
-    `rotation_s` [3, 3] is the integral of C_nb [s], `angle_rad` [3] that of the measured rate,
-    `impulse` [3] that of the specific force in earth axes [m/s]. The error angle goes on by
-    psi' = psi - rotation_s (bias + matrix rate), the velocity by
-    v' = v + psi x impulse - rotation_s accelerometer_bias.
+    With a = w dt: f - a x f / 2 + a x (a x f) / 6 is the mean of a force that turns with the body,
+    (a0 x f + f0 x a) / 12 sculling (Savage 1998, part 2, two-sample form). All [3]; out may
+    not be one of the others.
     """
-    gx, gy, gz = angle_rad[0] / turn_s, angle_rad[1] / turn_s, angle_rad[2] / turn_s
-    has_matrix, has_accel_bias = states > MATRIX, states > ACCEL_BIAS
-    has_velocity = states > VELOCITY
-    for j in range(states):
-        _shear(
-            p, j, 1, rotation_s, impulse, gx, gy, gz, has_velocity, has_accel_bias, has_matrix
-        )
-    for i in range(states):
-        _shear(
-            p, i, 0, rotation_s, impulse, gx, gy, gz, has_velocity, has_accel_bias, has_matrix
-        )
-    for i in range(states):
-        for j in range(i):
-            p[i, j] = p[j, i]
-
-
-@kernel
-def _shear(p, n, column, rotation_s, impulse, gx, gy, gz, has_velocity, has_accel_bias, has_matrix):
-    x = p[:, n] if column else p[n, :]
-    if has_velocity:
-        x[6] += x[1] * impulse[2] - x[2] * impulse[1]
-        x[7] += x[2] * impulse[0] - x[0] * impulse[2]
-        x[8] += x[0] * impulse[1] - x[1] * impulse[0]
-    if has_accel_bias:
-        for i in range(3):
-            x[6 + i] -= rotation_s[i, 0] * x[9] + rotation_s[i, 1] * x[10] + rotation_s[i, 2] * x[11]
-    a, b, c = x[3], x[4], x[5]
-    if has_matrix:
-        a += gx * x[12] + gy * x[13] + gz * x[14]
-        b += gx * x[15] + gy * x[16] + gz * x[17]
-        c += gx * x[18] + gy * x[19] + gz * x[20]
-    for i in range(3):
-        x[i] -= rotation_s[i, 0] * a + rotation_s[i, 1] * b + rotation_s[i, 2] * c
+    x, y, z = dt_s * rate[0], dt_s * rate[1], dt_s * rate[2]
+    # a x f, and what is crossed with a once more: -f / 2 + a x f / 6 - f0 / 12.
+    u, v, w = y * force[2] - z * force[1], z * force[0] - x * force[2], x * force[1] - y * force[0]
+    u = u / 6.0 - 0.5 * force[0] - force_before[0] / 12.0
+    v = v / 6.0 - 0.5 * force[1] - force_before[1] / 12.0
+    w = w / 6.0 - 0.5 * force[2] - force_before[2] / 12.0
+    share = dt_s / 12.0
+    a, b, c = share * rate_before[0], share * rate_before[1], share * rate_before[2]
+    out[0] = force[0] + y * w - z * v + b * force[2] - c * force[1]
+    out[1] = force[1] + z * u - x * w + c * force[0] - a * force[2]
+    out[2] = force[2] + x * v - y * u + a * force[1] - b * force[0]

@@ -1,13 +1,14 @@
 """The simulated IMU: true motion and vibration through the forward model, plus noise."""
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ahrs_service.records import Floats, Rows
 from ahrs_service.sensor.forward import forward_columns
 from ahrs_service.sensor.noise import TriadNoise, sensor_noise
-from ahrs_service.sensor.parameters import Calibration, TriadCalibration, coefficients
+from ahrs_service.sensor.parameters import Calibration, TriadCalibration, Vector, coefficients
 from ahrs_service.simulation.environment import Propeller
 
 
@@ -35,6 +36,31 @@ class Imu:
         gyro += sensor_noise(rng, len(truth), rate_hz, self.gyro_noise)
         accel += sensor_noise(rng, len(truth), rate_hz, self.accel_noise)
         return gyro, accel
+
+    def sibling(self, rng: np.random.Generator) -> "Imu":
+        """Return another sensor of this kind, drawn at random.
+
+        Every error of the calibration is multiplied by a standard normal draw of its own, the
+        drift with temperature by one for each axis: the given errors are its 1-sigma.
+        """
+        calibration = replace(
+            self.calibration,
+            gyro=_sibling_triad(self.calibration.gyro, rng),
+            accel=_sibling_triad(self.calibration.accel, rng),
+        )
+        return replace(self, calibration=calibration)
+
+
+def _sibling_triad(triad: TriadCalibration, rng: np.random.Generator) -> TriadCalibration:
+    first, second, third = _rows(np.eye(3) + (triad.matrix - np.eye(3)) * rng.normal(size=(3, 3)))
+    (bias,) = _rows(np.array([triad.bias]) * rng.normal(size=3))
+    drift = rng.normal(size=3)
+    a, b, c = (_rows(np.reshape(x, (-1, 3)) * drift) for x in (triad.a, triad.b, triad.c))
+    return replace(triad, matrix=(first, second, third), bias=bias, a=a, b=b, c=c)
+
+
+def _rows(values: Floats) -> tuple[Vector, ...]:
+    return tuple((x, y, z) for x, y, z in values.tolist())
 
 
 def consumer_grade() -> Imu:
@@ -68,5 +94,44 @@ def consumer_grade() -> Imu:
         calibration=Calibration(gyro=gyro, accel=accel, serial="SIM-1", source="simulation"),
         gyro_noise=TriadNoise(density=1e-4, walk=2e-6, wander=2e-4, wander_s=100.0),
         accel_noise=TriadNoise(density=2e-3, walk=2e-5, wander=5e-3, wander_s=100.0),
+        propeller=Propeller(),
+    )
+
+
+def seed_grade() -> Imu:
+    """Return the sensors of Liu et al. behind their compensation.
+
+    The accelerometers err by at most 5 mg on any axis, as the paper says: a bias of 2 mg, 0.1 % of
+    scale and axes, and a drift with temperature. Of its gyros it gives no figures, so these are of
+    the class that it used (single-axis MEMS of about 2010): 0.05 deg/s per sqrt(Hz), 0.05 deg/s of
+    turn-on bias, a wander of 0.015 deg/s, 0.1 % of scale and axes, 0.05 deg/s of drift over 15 K.
+    """
+    nodes = (-40.0, 18.0, 33.0, 70.0)
+    flat = ((0.0, 0.0, 0.0),) * len(nodes)
+    degree = math.radians(1.0)
+    rise = (-0.1 * degree, 0.0, 0.05 * degree, 0.1 * degree)
+    lift = (0.02, 0.0, 0.012, 0.02)
+    gyro = TriadCalibration(
+        matrix=((1.001, 0.0008, -0.0005), (-0.0005, 0.999, 0.001), (0.001, -0.0008, 1.001)),
+        bias=(0.05 * degree, -0.04 * degree, 0.05 * degree),
+        temperature_degc=nodes,
+        a=flat,
+        b=flat,
+        c=tuple((x, -x, x) for x in rise),
+    )
+    accel = TriadCalibration(
+        matrix=((1.001, 0.0005, -0.001), (0.001, 0.9995, 0.0005), (-0.0005, 0.001, 0.999)),
+        bias=(0.018, -0.024, 0.018),
+        temperature_degc=nodes,
+        a=flat,
+        b=flat,
+        c=tuple((x, -x, -x) for x in lift),
+    )
+    return Imu(
+        calibration=Calibration(gyro=gyro, accel=accel, serial="SEED", source="Liu et al."),
+        gyro_noise=TriadNoise(
+            density=0.05 * degree, walk=1e-6, wander=0.015 * degree, wander_s=200.0
+        ),
+        accel_noise=TriadNoise(density=2e-3, walk=1e-5, wander=5e-3, wander_s=200.0),
         propeller=Propeller(),
     )

@@ -70,6 +70,16 @@ _CIRCUIT: Final = (
     Phase("pitch manoeuvres", 6.0, wave_deg=16.0, throttle=0.65),
     Phase("descending turn", 7.0, roll_deg=25.0, speed_m_s=16.0, throttle=0.3, is_closing=True),
 )
+_SEED_CIRCUIT: Final = (
+    Phase("level", 50.0),
+    Phase("coordinated turn", 25.0, roll_deg=25.0, throttle=0.65),
+    Phase("level", 50.0),
+    Phase("circling", 60.0, roll_deg=-30.0, throttle=0.65),
+    Phase("level", 40.0),
+    Phase("pitch manoeuvres", 30.0, wave_deg=12.0, throttle=0.65),
+    Phase("level", 30.0),
+    Phase("coordinated turn", 15.0, roll_deg=-35.0, throttle=0.7),
+)
 _LANDING: Final = Phase(
     "landing", 6.0, speed_m_s=0.0, throttle=0.1, is_airborne=False, is_elastic=False
 )
@@ -94,6 +104,21 @@ def circling_phases(seconds: float) -> tuple[Phase, ...]:
     circling = replace(_CIRCUIT[2], seconds=60.0, roll_deg=-30.0)
     return _stretched(
         (_PARKED, _TAKE_OFF, _CLIMB, circling, _CIRCUIT[4], _LANDING, _STOPPED), seconds
+    )
+
+
+def seed_flight_phases(seconds: float) -> tuple[Phase, ...]:
+    """Return a flight of `seconds` [s] of the seed's manoeuvres (Liu et al., sec. 5).
+
+    Take-off run, level flight, coordinated turns, circling, pitch manoeuvres, landing; the text
+    gives no times: two thirds are level, a circuit of all manoeuvres takes about five minutes.
+    """
+    circuits = max(1, round(seconds / _CIRCUIT_S))
+    climb = replace(_CLIMB, seconds=15.0)
+    down = replace(_CIRCUIT[4], seconds=30.0)
+    parked = replace(_PARKED, seconds=20.0)
+    return _stretched(
+        (parked, _TAKE_OFF, climb, *_SEED_CIRCUIT * circuits, down, _LANDING, _STOPPED), seconds
     )
 
 

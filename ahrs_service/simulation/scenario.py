@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -12,14 +12,16 @@ from ahrs_service.rotation import multiply_columns, quaternion_columns
 from ahrs_service.sensor.noise import gauss_markov
 from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.simulation import environment
-from ahrs_service.simulation.imu import Imu, consumer_grade
+from ahrs_service.simulation.imu import Imu, consumer_grade, seed_grade
 from ahrs_service.simulation.phases import (
     Phase,
     circling_phases,
     command_curves,
     flight_phases,
     rest_phases,
+    seed_flight_phases,
 )
+from ahrs_service.simulation.rate_table import Swing, table_phases
 from ahrs_service.simulation.trajectory import TRUTH_DTYPE, Bumps, fly
 
 FLIGHT_DTYPE: Final[np.dtype[Any]] = np.dtype(
@@ -48,13 +50,14 @@ _VIBRATION_S: Final = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """What is flown, by which sensor, in which weather."""
+    """What is flown, by which sensor, in which weather; with a `swing`, on a rate table."""
 
     text: str
     phases: Callable[[float], tuple[Phase, ...]]
     imu: Imu
     turbulence: float = 1.0
     wind_m_s: float = 4.0
+    swing: Swing | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +70,12 @@ class Flight:
     phases: tuple[Phase, ...]
     calibration: Calibration
     rows: Rows
+
+
+def _table(text: str, swing: Swing) -> Scenario:
+    """Return a scenario on the rate table: the small autopilot's IMU, no engine."""
+    imu = replace(consumer_grade(), propeller=None)
+    return Scenario(text, table_phases, imu, swing=swing)
 
 
 SCENARIOS: Final = {
@@ -84,16 +93,32 @@ SCENARIOS: Final = {
     ),
     "circling": Scenario("a flight that is nearly all one turn", circling_phases, consumer_grade()),
     "rest": Scenario("warm-up on the ground", rest_phases, consumer_grade()),
+    "rate-table": _table(
+        "a rate table swings the sensor in roll by 80 deg, at up to 200 deg/s",
+        Swing((1.0, 0.0, 0.0)),
+    ),
+    "rate-table-pitch": _table("the same in pitch", Swing((0.0, 1.0, 0.0))),
+    "rate-table-heading": _table("the same in heading", Swing((0.0, 0.0, 1.0))),
+    "rate-table-oblique": _table("the same about all axes at once", Swing((1.0, 1.0, 1.0))),
+    "seed-flight": Scenario(
+        "the manoeuvres and the sensor errors of Liu et al., two thirds of it level",
+        seed_flight_phases,
+        seed_grade(),
+    ),
 }
 
 
 def make_flight(
-    name: str = "flight", seconds: float = 60.0, seed: int = 1, rate_hz: float = 400.0
+    name: str = "flight",
+    seconds: float = 60.0,
+    seed: int = 1,
+    rate_hz: float = 400.0,
+    imu: Imu | None = None,
 ) -> Flight:
     """Return the flight of a scenario, the same for the same arguments.
 
-    From 40 s on it holds every phase; a shorter one is cut off in the air. ValueError for a
-    name, length or rate that cannot be.
+    From 40 s on it holds every phase; a shorter one is cut off in the air. An `imu` stands in
+    for the scenario's own. ValueError for a name, length or rate that cannot be.
     """
     if name not in SCENARIOS:
         raise ValueError(f"scenario = {name!r}: choose one of {', '.join(SCENARIOS)}")
@@ -102,18 +127,22 @@ def make_flight(
     if not 1.0 <= rate_hz <= FASTEST_HZ:
         raise ValueError(f"rate = {rate_hz:g} Hz: choose 1 to {FASTEST_HZ:g} Hz")
     scenario = SCENARIOS[name]
+    imu = scenario.imu if imu is None else imu
     phases = scenario.phases(seconds)
     # One generator per part: a change in one does not shift the dice of the others.
     dice = [np.random.default_rng([seed, part]) for part in range(4)]
-    curves = command_curves(phases, scenario.turbulence, dice[0])
     time_s = np.arange(math.floor(seconds * rate_hz) + 1) / rate_hz
     bearing, heading = dice[1].uniform(-np.pi, np.pi, 2)
-    wind = scenario.wind_m_s * np.array([math.cos(bearing), math.sin(bearing), 0.0])
-    truth = fly(curves, Bumps.draw(dice[1]), wind, float(heading), time_s)
+    if scenario.swing is not None:
+        truth = scenario.swing.truth(phases, float(heading), time_s)
+    else:
+        curves = command_curves(phases, scenario.turbulence, dice[0])
+        wind = scenario.wind_m_s * np.array([math.cos(bearing), math.sin(bearing), 0.0])
+        truth = fly(curves, Bumps.draw(dice[1]), wind, float(heading), time_s)
     warmth = environment.Warmth(time_constant_s=0.25 * seconds)
-    rows = _sense(truth, scenario.imu, warmth, rate_hz, dice[2])
+    rows = _sense(truth, imu, warmth, rate_hz, dice[2])
     rows["estimate_ned_from_body"] = _estimate(truth, rate_hz, dice[3])
-    return Flight(name, seed, rate_hz, phases, scenario.imu.calibration, rows)
+    return Flight(name, seed, rate_hz, phases, imu.calibration, rows)
 
 
 def _sense(

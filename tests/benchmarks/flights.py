@@ -1,92 +1,58 @@
 """Roll and pitch errors on real flights: ours and the peers, all causal, on the same samples.
 
-Run: python tests/benchmarks/flights.py [--data DIR] [--logs NAME ...] [--no-ahrs] [--json OUT]
+Run: python tests/benchmarks/flights.py [--data DIR] [--logs NAME ...] [--all] [--no-ahrs]
+                                        [--contract] [--json OUT]
 
-DIR holds the recordings (default: ../shared/data/flights beside the project). Every log goes
+DIR holds the recordings (default: ../shared/data/flights beside the project): the known ones, with
+--all every other one too that can be read and has an attitude to compare with. Every log goes
 through the project's reader and intake; what the intake chose is what every algorithm gets. "ours"
-sees gyro and accelerometer only, as the peers do; "ours aided" also what speed the link has. The
-error is against the autopilot's own attitude (ahrs_service.comparison has the rules), which is
-another estimate, not the truth; for sitl it is the simulator's truth.
+sees gyro and accelerometer only, as the peers do; "ours aided" also the airspeed and the velocity
+over ground that the log has (its GPS's, where it has no velocity as the link gives it). The error
+is against the autopilot's own attitude (ahrs_service.comparison has the rules), which is another
+estimate, not the truth (reference_witness.py judges it); for sitl it is the simulator's truth.
+
+The first flight, with --contract every one, also goes through `ahrs-service estimate` as a process:
+its bytes must be those of the function that the command calls, and its errors stand in a table of
+their own. They may differ from "ours", since plain arrays carry no flags (contract.py).
 """
 
 import argparse
+import dataclasses
 import json
 import sys
+import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import contract
 import numpy as np
+import worst_minute
+from flight_recordings import LOGS, Flight, read_flight, recordings
 from peers import PEERS, SHARED_DATA, attitude, flu_from_frd, frd_attitude, require_data
 from rich.console import Console
 from rich.table import Table
 
-from ahrs_service import intake, pipeline
+from ahrs_service import pipeline
+from ahrs_service.app.estimate import PROFILES, estimate_columns, read_columns
 from ahrs_service.comparison import Comparison, compare
 from ahrs_service.records import (
     ESTIMATE_DTYPE,
-    SAMPLE_DTYPE,
     Airframe,
     Flag,
-    Kind,
     Phase,
     Rows,
     empty,
 )
 from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.settings import Settings
-from links.recording import AttitudeReference
-from links.recording_formats import read_recording
+from links.errors import RecordingError
 
-LOGS = {
-    "x8 aerobatics": "x8_fixedwing_aerobatics_50hz_reencoded.tlog",
-    "thor75": "umn_thor75_fixedwing_50hz_reencoded.tlog",
-    "swiss2": "px4_fixedwing_swiss2_148hz_reencoded.tlog",
-    "quad106": "copter_quad106_50hz_reencoded.tlog",
-    "demo x8": "demo_x8_fixedwing_300s_reencoded.tlog",
-    "plane erle": "plane_erle_2014-12-05_10hz.bin",
-    "copter erle": "copter_erle_2014-09-07_50hz.bin",
-    "copter pixhawk": "copter_pixhawk_2014_dualimu_50hz.bin",
-    "auavx2": "px4_auavx2_quad_250hz.ulg",
-    "fmuv6c": "px4_fmuv6c_quad_222hz.ulg",
-    "log0036": "copter_pixhawk_log0036_crash_temp.bin",
-    "sitl": "../sitl/arduplane_sitl_nominal.tlog",
-}
 OURS = ("ours", "ours gated", "ours aided")
+CONTRACT = "six axes", "aided", "offline"
 UNUSED = int(Flag.DUPLICATE | Flag.REORDERED | Flag.NOT_FINITE)
-
-
-@dataclass(frozen=True)
-class Flight:
-    """One recording: samples [N] SAMPLE_DTYPE and the attitude it has itself."""
-
-    name: str
-    samples: Rows
-    reference: AttitudeReference
-
-    @property
-    def duration_s(self) -> float:
-        """Time from the first sample to the last, without gaps of more than a minute [s]."""
-        steps = np.diff(self.samples["time_ns"]) * 1e-9
-        return float(steps[(steps > 0.0) & (steps < 60.0)].sum())
-
-
-def read_flight(name: str, path: Path) -> Flight:
-    """Read a log and let the intake choose its samples."""
-    recording = read_recording(path)
-    limit = int(np.count_nonzero(recording.readings["kind"] == Kind.IMU))
-    samples = empty(SAMPLE_DTYPE, limit)
-    positions = np.zeros(limit, np.int64)
-    count = intake.select(
-        intake.parameters(Settings().intake),
-        intake.new_state(),
-        recording.readings,
-        samples,
-        positions,
-    )
-    references = sorted(recording.references, key=lambda one: not one.is_truth)
-    return Flight(name, samples[:count], references[0])
+DEFAULT_MODE = Settings().fusion.mode
 
 
 def ours(samples: Rows, mode: str, aided: bool) -> Rows:
@@ -110,7 +76,7 @@ def ours(samples: Rows, mode: str, aided: bool) -> Rows:
 
 def estimates_of(flight: Flight, names: list[str]) -> Iterator[tuple[str, Rows]]:
     """Estimates [N] ESTIMATE_DTYPE of each algorithm; all are judged where ours is running."""
-    base = ours(flight.samples, "velocity", aided=False)
+    base = ours(flight.samples, DEFAULT_MODE, aided=False)
     used = base["flags"] & UNUSED == 0
     t = np.where(used, _rising_time_s(flight.samples["time_ns"], used), np.nan)
     gyr = flu_from_frd(flight.samples["gyro_rad_s"])
@@ -119,9 +85,8 @@ def estimates_of(flight: Flight, names: list[str]) -> Iterator[tuple[str, Rows]]
         if name == "ours":
             rows = base
         elif name in OURS:
-            rows = ours(
-                flight.samples, "gated" if name == "ours gated" else "velocity", name == OURS[2]
-            )
+            mode = "gated" if name == "ours gated" else DEFAULT_MODE
+            rows = ours(flight.samples, mode, aided=name == "ours aided")
         else:
             rows = base.copy()
             rows["ned_from_body"] = frd_attitude(attitude(name, gyr, acc, t))
@@ -146,6 +111,8 @@ def _figures(one: Comparison) -> dict[str, float | None]:
         "tilt": float(np.degrees(one.tilt.rms)),
         "steady_roll": float(np.degrees(one.steady_roll.rms)),
         "steady_pitch": float(np.degrees(one.steady_pitch.rms)),
+        "roll_mean": float(np.degrees(one.roll.mean)),
+        "pitch_mean": float(np.degrees(one.pitch.mean)),
         "steady_s": one.steady_s,
         "compared": one.compared,
         "steep": one.steep,
@@ -153,13 +120,52 @@ def _figures(one: Comparison) -> dict[str, float | None]:
     return {name: value if np.isfinite(value) else None for name, value in figures.items()}
 
 
-def measure(flight: Flight, names: list[str]) -> dict[str, dict[str, float | None]]:
-    """Errors [deg] of each algorithm on one flight."""
+def measure(flight: Flight, names: list[str]) -> dict[str, Any]:
+    """Errors [deg] of each algorithm on one flight, the best peer, and ours' worst minute."""
     reference = flight.reference
-    return {
-        name: _figures(compare(rows, reference.time_ns, reference.ned_from_body, False))
-        for name, rows in estimates_of(flight, names)
-    }
+    errors, best, kept = {}, np.inf, {}
+    for name, rows in estimates_of(flight, names):
+        one = compare(rows, reference.time_ns, reference.ned_from_body, False)
+        errors[name] = _figures(one)
+        size = one.roll.rms + one.pitch.rms
+        if name == "ours":
+            kept["ours"] = rows
+        elif name not in OURS and size < best:
+            best, kept["peer"], peer = size, rows, name
+    result: dict[str, Any] = {"errors": errors}
+    if len(kept) > 1 and errors["ours"]["compared"]:
+        result["best_peer"] = peer
+        result["worst_minute"] = worst_minute.worst_minute(
+            flight.samples, kept["ours"], kept["peer"], reference
+        )
+    return result
+
+
+def through_contract(flight: Flight) -> dict[str, Any]:
+    """Errors [deg] of the command's answers; leave where its bytes are not the function's."""
+    samples, reference = flight.samples, flight.reference
+    profile = contract.profile_of(samples)
+    settings = Settings()
+    fusion = replace(settings.fusion, airframe=PROFILES[profile])
+    settings = replace(settings, fusion=fusion)
+    rows, errors = ours(samples, DEFAULT_MODE, aided=False), {}
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder) / "in.npz"
+        for name in CONTRACT:
+            if name == "offline" and not contract.offers("--offline"):
+                continue
+            contract.write_samples(source, samples, aided=name == "aided")
+            more = ("--offline",) if name == "offline" else ()
+            quat = contract.run_estimate(source, profile, "frd", *more)["quat"]
+            if not more:
+                same = estimate_columns(read_columns(source), settings, "frd")["quat"]
+                if not np.array_equal(quat, same):
+                    raise SystemExit(f"{flight.name}: the command's answer is not the function's")
+            rows["ned_from_body"] = quat
+            errors[name] = _figures(
+                compare(rows, reference.time_ns, reference.ned_from_body, False)
+            )
+    return errors
 
 
 def table(title: str, results: dict[str, Any], names: list[str], prefix: str) -> Table:
@@ -183,6 +189,85 @@ def table(title: str, results: dict[str, Any], names: list[str], prefix: str) ->
     return out
 
 
+def contract_table(results: dict[str, Any]) -> Table:
+    """Errors of the command beside those of the samples with their flags."""
+    title = "Through `ahrs-service estimate`, RMS roll, pitch [deg]"
+    out = Table(title=title, title_justify="left", padding=(0, 1), show_edge=False)
+    out.add_column("flight")
+    columns = [("samples with flags", "errors", "ours"), ("aided", "errors", "ours aided")]
+    columns += [(f"command, {name}", "contract", name) for name in CONTRACT]
+    columns = [one for one in columns if any(one[2] in r.get(one[1], ()) for r in results.values())]
+    for title, _, _ in columns:
+        out.add_column(title, justify="right")
+    for flight, result in results.items():
+        if "contract" in result:
+            cells = (result[part][name] for _, part, name in columns)
+            out.add_row(flight, *(_pair(one["roll"], one["pitch"]) for one in cells))
+    return out
+
+
+def _pair(roll: float | None, pitch: float | None) -> str:
+    return "-" if roll is None or pitch is None else f"{roll:.2f} {pitch:.2f}"
+
+
+def run(args: argparse.Namespace, names: list[str], log: Console) -> dict[str, Any]:
+    """All results by flight."""
+    results: dict[str, Any] = {}
+    data = require_data(args.data, "the flight recordings")
+    for name, path in recordings(data, args.logs, args.all).items():
+        try:
+            flight = read_flight(name, path)
+        except RecordingError as error:
+            log.print(f"left out: {error}", highlight=False, soft_wrap=True)
+            continue
+        samples = flight.samples
+        airframe = Airframe(int(samples["airframe"][-1])).name.lower()
+        log.print(f"{name}: {len(samples)} samples, {airframe}", highlight=False)
+        running = ours(samples, DEFAULT_MODE, aided=False)["phase"] == Phase.RUNNING
+        results[name] = {
+            "duration_s": flight.duration_s,
+            "airframe": airframe,
+            "samples": len(samples),
+            "running": float(running.mean()),
+            "reference": flight.reference.name,
+            "aided_by": {
+                "airspeed": int(np.isfinite(samples["airspeed_m_s"]).sum()),
+                "velocity": int(np.isfinite(samples["velocity_ned_m_s"]).any(axis=1).sum()),
+            },
+            **measure(flight, names),
+        }
+        if args.contract or len(results) == 1:
+            results[name]["contract"] = through_contract(flight)
+    return results
+
+
+def report(results: dict[str, Any], names: list[str]) -> None:
+    """Print the tables."""
+    # The tables are as wide as they are, on a screen or in a file.
+    out = Console(width=60 + 24 * (len(names) + 3))
+    minutes = {
+        flight: (result["best_peer"], result["worst_minute"])
+        for flight, result in results.items()
+        if "worst_minute" in result
+    }
+    for one in (
+        table("Whole flight", results, names, ""),
+        table("Steady flight", results, names, "steady_"),
+        contract_table(results),
+        worst_minute.table(minutes),
+    ):
+        out.print(one)
+        out.print()
+    for name, result in results.items():
+        steady_s, aid = result["errors"]["ours"]["steady_s"], result["aided_by"]
+        out.print(
+            f"{name}: {result['duration_s']:.0f} s, steady {steady_s:.0f} s, {result['airframe']}, "
+            f"reference {result['reference']}; samples with airspeed {aid['airspeed']}, "
+            f"velocity {aid['velocity']}",
+            highlight=False,
+        )
+
+
 def main() -> int:
     """Run all and print the tables."""
     parser = argparse.ArgumentParser(
@@ -190,46 +275,18 @@ def main() -> int:
     )
     parser.add_argument("--data", type=Path, default=SHARED_DATA / "flights", metavar="DIR")
     parser.add_argument("--logs", nargs="+", choices=list(LOGS), default=list(LOGS))
+    parser.add_argument("--all", action="store_true", help="every recording in DIR")
     parser.add_argument("--no-ahrs", action="store_true", help="leave out what is slow")
+    parser.add_argument("--contract", action="store_true", help="all flights by the command too")
     parser.add_argument("--json", type=Path, metavar="OUT")
     args = parser.parse_args()
-    data = require_data(args.data, "the flight recordings")
     slow = ("Mahony", "Madgwick") if args.no_ahrs else ()
     names = [*OURS, *(name for name in PEERS if not name.startswith(slow or ("-",)))]
-    results: dict[str, Any] = {}
-    log = Console(stderr=True)
-    for name in args.logs:
-        path = data / LOGS[name]
-        if not path.is_file():
-            log.print(f"{path} is not there: left out", highlight=False, soft_wrap=True)
-            continue
-        flight = read_flight(name, path)
-        running = ours(flight.samples, "velocity", aided=False)["phase"] == Phase.RUNNING
-        airframe = Airframe(int(flight.samples["airframe"][-1])).name.lower()
-        log.print(f"{name}: {len(flight.samples)} samples, {airframe}", highlight=False)
-        results[name] = {
-            "duration_s": flight.duration_s,
-            "airframe": airframe,
-            "samples": len(flight.samples),
-            "running": float(running.mean()),
-            "reference": flight.reference.name,
-            "errors": measure(flight, names),
-        }
-    # The tables are as wide as they are, on a screen or in a file.
-    out = Console(width=60 + 14 * (len(names) + 3))
-    out.print(table("Whole flight", results, names, ""))
-    out.print()
-    out.print(table("Steady flight", results, names, "steady_"))
-    out.print()
-    for name, result in results.items():
-        steady_s = result["errors"]["ours"]["steady_s"]
-        out.print(
-            f"{name}: {result['duration_s']:.0f} s, steady {steady_s:.0f} s, {result['airframe']}, "
-            f"reference {result['reference']}",
-            highlight=False,
-        )
+    results = run(args, names, Console(stderr=True))
+    report(results, names)
     if args.json is not None:
-        args.json.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+        plain = json.dumps(results, indent=1, default=dataclasses.asdict)
+        args.json.write_text(plain + "\n", encoding="utf-8")
     return 0
 
 

@@ -1,11 +1,15 @@
 import numpy as np
 import pytest
 
+from ahrs_service.records import Airframe
 from ahrs_service.rotation import euler_columns, inverse_columns, multiply_columns
 from ahrs_service.sensor.compensation import compensate
+from ahrs_service.sensor.forward import forward_columns
 from ahrs_service.sensor.parameters import coefficients
 from ahrs_service.simulation.environment import HOME_ALTITUDE_M, Propeller, Warmth, pressure_pa
-from ahrs_service.simulation.phases import flight_phases
+from ahrs_service.simulation.imu import Imu, consumer_grade, seed_grade
+from ahrs_service.simulation.phases import flight_phases, seed_flight_phases
+from ahrs_service.simulation.samples import samples_of
 from ahrs_service.simulation.scenario import SCENARIOS, make_flight
 
 PHASES = [
@@ -34,6 +38,60 @@ def test_a_plan_holds_every_phase_and_its_time(seconds):
     assert list(dict.fromkeys(phase.name for phase in phases)) == PHASES
     assert min(phase.seconds for phase in phases) >= 1.0
     assert all(abs(phase.climb_deg) < 20.0 for phase in phases)
+
+
+def test_the_seeds_flight_holds_its_manoeuvres_and_is_mostly_level():
+    phases = seed_flight_phases(1200.0)
+    names = {phase.name for phase in phases}
+    assert names > {"take-off run", "landing", "coordinated turn", "circling", "pitch manoeuvres"}
+    level_s = sum(phase.seconds for phase in phases if phase.name == "level")
+    assert 0.5 < level_s / 1200.0 < 0.7
+    assert sum(phase.seconds for phase in phases) == pytest.approx(1200.0)
+
+
+def test_the_seeds_accelerometers_err_by_at_most_5_mg():
+    """In any direction of gravity and at any temperature of its flight, noise apart."""
+    row = coefficients(seed_grade().calibration)
+    dice = np.random.default_rng(0)
+    up = dice.normal(size=(2000, 3))
+    force = 9.80665 * up / np.linalg.norm(up, axis=1, keepdims=True)
+    _, given = forward_columns(row, np.zeros_like(force), force, dice.uniform(18.0, 33.0, 2000))
+    worst_mg = 1e3 * np.abs(given - force).max() / 9.80665
+    assert 3.0 < worst_mg < 5.0
+
+
+def test_siblings_of_a_sensor_have_its_errors_as_their_sigma():
+    nominal = consumer_grade()
+    dice = np.random.default_rng(1)
+    siblings = [nominal.sibling(dice).calibration for _ in range(400)]
+    for name in ("gyro", "accel"):
+        own = getattr(nominal.calibration, name)
+        drawn = [getattr(one, name) for one in siblings]
+        for field, base in (("matrix", np.eye(3)), ("bias", 0.0), ("b", 0.0), ("c", 0.0)):
+            errors = np.array([getattr(one, field) for one in drawn]) - base
+            size = np.abs(np.array(getattr(own, field)) - base)
+            np.testing.assert_allclose(errors.std(axis=0), size, rtol=0.15)
+            np.testing.assert_allclose(errors.mean(axis=0), 0.0, atol=0.25 * size.max())
+    assert Imu().sibling(dice) == Imu()
+
+
+def test_another_sensor_flies_the_same_flight(flight):
+    dice = np.random.default_rng(5)
+    other = make_flight("flight", 60.0, 3, 200.0, consumer_grade().sibling(dice))
+    np.testing.assert_array_equal(other.rows["ned_from_body"], flight.rows["ned_from_body"])
+    assert (other.rows["accel_m_s2"] != flight.rows["accel_m_s2"]).all()
+    assert other.calibration != flight.calibration
+
+
+@pytest.mark.parametrize("magnetometer", [False, True])
+def test_samples_are_the_flight_as_the_estimator_gets_it(flight, magnetometer):
+    samples = samples_of(flight, Airframe.FIXED_WING, magnetometer)
+    np.testing.assert_array_equal(np.diff(samples["time_ns"]), 5_000_000)
+    np.testing.assert_array_equal(samples["gyro_rad_s"], flight.rows["gyro_rad_s"])
+    np.testing.assert_array_equal(samples["accel_m_s2"], flight.rows["accel_m_s2"])
+    assert np.isfinite(samples["mag_ut"]).all() == magnetometer
+    assert np.isnan(samples["airspeed_m_s"]).all()
+    assert set(samples["airframe"]) == {Airframe.FIXED_WING}
 
 
 @pytest.mark.parametrize("seconds", [40.0, 60.0, 700.0])

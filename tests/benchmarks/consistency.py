@@ -1,0 +1,230 @@
+"""Is the filter as sure as it may be? Its 1-sigma against its true error, on simulated flights.
+
+Run: python tests/benchmarks/consistency.py [--runs N] [--seconds S] [--phases] [--json OUT]
+
+Many flights with known truth, each with its own wind, turbulence, sensor and noise. NEES is the
+squared error in the metric of the filter's own covariance, psi^T P^-1 psi; divided by its number of
+axes it is 1 for a consistent filter, above for one too sure of itself, and its root is the factor
+by which sigma is short. "tilt" is about the estimated north and east, of six axes whatever the
+heading; "heading" about down; "attitude" all three. Instants lie 0.5 s apart and follow each
+other, so they are no independent draws, but the flights are: "in 95 %" is how often the mean over
+them lies in its 95 % interval (Bar-Shalom, Li, Kirubarajan 2001, sec. 5.4). NIS is the square of
+the gate's tilt innovation in its own sigmas over 2, where the gate was open. rms and sigma in deg.
+"""
+
+import argparse
+import itertools
+import json
+import math
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from ahrs_service import pipeline
+from ahrs_service.records import ESTIMATE_DTYPE, Airframe, Floats, Phase, empty
+from ahrs_service.rotation import inverse_columns, multiply_columns
+from ahrs_service.sensor.parameters import Calibration, coefficients
+from ahrs_service.settings import FusionSettings, Settings
+from ahrs_service.simulation.environment import FIELD_NED_UT
+from ahrs_service.simulation.samples import samples_of
+from ahrs_service.simulation.scenario import SCENARIOS, Flight, make_flight
+
+RATE_HZ = 100.0
+INSTANT_SAMPLES = 50
+CASES = (("flight", 6), ("flight", 9), ("circling", 6), ("seed-flight", 6), ("rest", 6))
+MODES = ("velocity", "gated")
+PARTS = {"tilt": (0, 1), "heading": (2,), "attitude": (0, 1, 2)}
+PARTS_OF = {6: ("tilt",), 9: ("tilt", "heading", "attitude")}
+
+
+@dataclass(frozen=True)
+class Run:
+    """One flight at its instants [K]: time, error angle about estimated north, east, down, P."""
+
+    flight: Flight
+    time_s: Floats
+    psi: Floats
+    covariance: Floats
+    innovation2: Floats
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What many runs say, per axis: NEES, NIS, rms and sigma.
+
+    `inside` is where the mean NEES was in its 95 % interval, `covered` within 1, 2, 3 sigma.
+    """
+
+    scenario: str
+    mode: str
+    axes: int
+    part: str
+    nees: float
+    inside: float
+    covered: tuple[float, float, float]
+    rms_deg: float
+    sigma_deg: float
+    nis: float
+
+
+def fly(scenario: str, mode: Any, axes: int, seconds: float, seed: int) -> Run:
+    """Fly once and keep error and covariance at every instant after the alignment."""
+    sensor = SCENARIOS[scenario].imu.sibling(np.random.default_rng([seed, 99]))
+    flight = make_flight(scenario, seconds, seed, RATE_HZ, sensor)
+    samples = samples_of(flight, Airframe.FIXED_WING, magnetometer=axes == 9)
+    declination = math.degrees(math.atan2(FIELD_NED_UT[1], FIELD_NED_UT[0]))
+    settings = Settings(fusion=FusionSettings(mode=mode, declination_deg=declination))
+    parameters, ideal = pipeline.parameters(settings), coefficients(Calibration.ideal())
+    state, estimates = pipeline.new_state(), empty(ESTIMATE_DTYPE, len(samples))
+    ends, covariance = range(INSTANT_SAMPLES, len(samples) + 1, INSTANT_SAMPLES), []
+    for end in ends:
+        part = slice(end - INSTANT_SAMPLES, end)
+        pipeline.batch(parameters, ideal, state, samples[part], estimates[part])
+        covariance.append(state["covariance"][0, :3, :3].copy())
+    last = np.array(ends) - 1
+    running = estimates["phase"][last] == Phase.RUNNING
+    last = last[running]
+    psi = error_angle(flight.rows["ned_from_body"][last], estimates["ned_from_body"][last], axes)
+    open_gate = (estimates["gate"] == 0) & (estimates["phase"] == Phase.RUNNING)
+    innovation2 = estimates["gate_innovation"][open_gate] ** 2
+    return Run(flight, last / RATE_HZ, psi, np.array(covariance)[running], innovation2)
+
+
+def error_angle(truth: Floats, estimate: Floats, axes: int) -> Floats:
+    """Rotation vectors psi [K, 3] with truth = dq(psi) estimate; six axes: without the heading.
+
+    dq is parted into a turn about down, which six axes cannot know, and a tilt before it.
+    """
+    error = multiply_columns(truth, inverse_columns(estimate))
+    if axes == 6:
+        turn = error * np.array([1.0, 0.0, 0.0, 1.0])
+        turn /= np.linalg.norm(turn, axis=1, keepdims=True)
+        error = multiply_columns(inverse_columns(turn), error)
+    error *= np.where(error[:, :1] < 0.0, -1.0, 1.0)
+    sine = np.linalg.norm(error[:, 1:], axis=1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, error[:, :1])
+    return error[:, 1:] * np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 0.0)
+
+
+def nees(run: Run, part: str) -> Floats:
+    """NEES per axis [K] of one of PARTS."""
+    chosen = PARTS[part]
+    psi, p = run.psi[:, chosen], run.covariance[:, chosen][:, :, chosen]
+    return np.einsum("ki,ki->k", psi, np.linalg.solve(p, psi[:, :, None])[:, :, 0]) / len(chosen)
+
+
+def variances(run: Run, part: str) -> Floats:
+    """Variances [K, M] of one of PARTS."""
+    return run.covariance[:, PARTS[part], PARTS[part]]
+
+
+def chi_square_mean_interval(freedom: int) -> tuple[float, float]:
+    """95 % interval of a chi-square over its `freedom` (Wilson, Hilferty 1931)."""
+    spread = 2.0 / (9.0 * freedom)
+    low, high = ((1.0 - spread + z * math.sqrt(spread)) ** 3 for z in (-1.96, 1.96))
+    return low, high
+
+
+def judge(runs: list[Run], scenario: str, mode: str, axes: int, part: str) -> Verdict:
+    """Put many runs together."""
+    instants = min(len(run.time_s) for run in runs)
+    each = np.array([nees(run, part)[-instants:] for run in runs])
+    low, high = chi_square_mean_interval(len(PARTS[part]) * len(runs))
+    mean = each.mean(axis=0)
+    psi = np.concatenate([run.psi[:, PARTS[part]] for run in runs])
+    sigma2 = np.concatenate([variances(run, part) for run in runs])
+    ratio = np.abs(psi) / np.sqrt(sigma2)
+    innovation2 = np.concatenate([run.innovation2 for run in runs])
+    return Verdict(
+        scenario=scenario,
+        mode=mode,
+        axes=axes,
+        part=part,
+        nees=float(each.mean()),
+        inside=float(np.mean((mean > low) & (mean < high))),
+        covered=tuple(float(np.mean(ratio < limit)) for limit in (1.0, 2.0, 3.0)),
+        rms_deg=math.degrees(math.sqrt(np.mean(psi**2))),
+        sigma_deg=math.degrees(math.sqrt(np.mean(sigma2))),
+        nis=float(innovation2.mean() / 2.0) if len(innovation2) else math.nan,
+    )
+
+
+def by_phase(runs: list[Run], part: str) -> Iterator[tuple[str, float, float, float]]:
+    """Yield for each phase of the plan its name, NEES per axis, rms error and sigma [deg]."""
+    phases = runs[0].flight.phases
+    names = np.array([phase.name for phase in phases])
+    ends = np.cumsum([phase.seconds for phase in phases])[:-1]
+    which = np.concatenate([names[np.searchsorted(ends, run.time_s)] for run in runs])
+    values = np.concatenate([nees(run, part) for run in runs])
+    psi2 = np.concatenate([np.mean(run.psi[:, PARTS[part]] ** 2, axis=1) for run in runs])
+    sigma2 = np.concatenate([variances(run, part).mean(axis=1) for run in runs])
+    for name in dict.fromkeys(names.tolist()):
+        here = which == name
+        if here.any():
+            rms, sigma = np.degrees(np.sqrt([psi2[here].mean(), sigma2[here].mean()]))
+            yield name, float(values[here].mean()), float(rms), float(sigma)
+
+
+def table_of(verdicts: list[Verdict], runs: int) -> Table:
+    """Return the table of all cases."""
+    table = Table(title=f"{runs} flights each; the first row is what a consistent filter has")
+    for heading in ("scenario", "mode", "axes", "part"):
+        table.add_column(heading, no_wrap=True)
+    for heading in ("NEES", "sigma short", "in 95 %", "<1s", "<2s", "<3s", "rms", "sigma", "NIS"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_row(*("", "", "", "", "1", "1", "95", "68", "95", "99.7", "", "", "1"))
+    for one in verdicts:
+        shares = (100.0 * share for share in (one.inside, *one.covered))
+        table.add_row(
+            *(one.scenario, one.mode, str(one.axes), one.part),
+            *(f"{one.nees:.2f}", f"{math.sqrt(one.nees):.2f}"),
+            *(f"{share:.{digits}f}" for share, digits in zip(shares, (0, 0, 0, 1), strict=True)),
+            *(f"{value:.2f}" for value in (one.rms_deg, one.sigma_deg, one.nis)),
+        )
+    return table
+
+
+def phase_table(runs: list[Run], title: str, part: str) -> Table:
+    """Return the table of one case by phase of flight."""
+    table = Table(title=title)
+    table.add_column("phase", no_wrap=True)
+    for heading in ("NEES", "sigma short", "rms [deg]", "sigma [deg]"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for name, value, rms, sigma in by_phase(runs, part):
+        table.add_row(name, *(f"{v:.2f}" for v in (value, math.sqrt(value), rms, sigma)))
+    return table
+
+
+def main() -> int:
+    """Fly, judge, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=_Plain)
+    parser.add_argument("--runs", type=int, default=30, help="flights of each case")
+    parser.add_argument("--seconds", type=float, default=90.0, help="length of a flight")
+    parser.add_argument("--phases", action="store_true", help="also by phase of flight")
+    parser.add_argument("--json", type=Path, metavar="OUT", help="write the figures here too")
+    args = parser.parse_args()
+    verdicts, tables = [], []
+    for (scenario, axes), mode in itertools.product(CASES, MODES):
+        seconds = args.seconds * (3.0 if scenario == "seed-flight" else 1.0)
+        runs = [fly(scenario, mode, axes, seconds, seed) for seed in range(1, args.runs + 1)]
+        for part in PARTS_OF[axes]:
+            verdicts.append(judge(runs, scenario, mode, axes, part))
+            if args.phases:
+                tables.append(phase_table(runs, f"{scenario}, {mode}, {axes} axes, {part}", part))
+    Console(width=120).print(table_of(verdicts, args.runs), *tables)
+    if args.json is not None:
+        args.json.write_text(json.dumps([asdict(one) for one in verdicts], indent=1) + "\n")
+    return 0
+
+
+_Plain = argparse.RawDescriptionHelpFormatter
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,64 @@
+"""The reported 1-sigma against the true error, over flights that each have their own sensor."""
+
+import functools
+
+import numpy as np
+import pytest
+
+from ahrs_service import pipeline
+from ahrs_service.records import ESTIMATE_DTYPE, Airframe, Phase, empty
+from ahrs_service.rotation import inverse_columns, multiply_columns
+from ahrs_service.sensor.parameters import Calibration, coefficients
+from ahrs_service.settings import FusionSettings, Settings
+from ahrs_service.simulation.samples import samples_of
+from ahrs_service.simulation.scenario import SCENARIOS, make_flight
+
+RUNS = 12
+
+
+def tilt_in_sigmas(scenario, mode, seed):
+    """True tilt about the estimated north and east over the reported sigma [K, 2], at 2 Hz.
+
+    truth = dq(turn about down) dq(tilt) estimate: six axes do not know the turn.
+    """
+    imu = SCENARIOS[scenario].imu.sibling(np.random.default_rng([seed, 99]))
+    flight = make_flight(scenario, 90.0, seed, 100.0, imu)
+    samples = samples_of(flight, Airframe.FIXED_WING)
+    parameters = pipeline.parameters(Settings(fusion=FusionSettings(mode=mode)))
+    estimates, ideal = empty(ESTIMATE_DTYPE, len(samples)), coefficients(Calibration.ideal())
+    pipeline.batch(parameters, ideal, pipeline.new_state(), samples, estimates)
+    running = np.flatnonzero(estimates["phase"] == Phase.RUNNING)[::50]
+    ours, truth = estimates[running], flight.rows["ned_from_body"][running]
+    error = multiply_columns(truth, inverse_columns(ours["ned_from_body"]))
+    turn = error * [1.0, 0.0, 0.0, 1.0]
+    turn /= np.linalg.norm(turn, axis=1, keepdims=True)
+    tilt = 2.0 * np.arcsin(multiply_columns(inverse_columns(turn), error)[:, 1:3])
+    return tilt / ours["attitude_sigma_rad"][:, :2]
+
+
+@pytest.fixture(scope="module")
+def ratios():
+    """Every run of a case, put together [K, 2]."""
+
+    @functools.cache
+    def run(scenario, mode):
+        return np.concatenate([tilt_in_sigmas(scenario, mode, seed) for seed in range(1, RUNS + 1)])
+
+    return run
+
+
+@pytest.mark.parametrize("mode", ["velocity", "gated"])
+@pytest.mark.parametrize("scenario", ["flight", "circling"])
+def test_the_sigma_covers_the_error(ratios, scenario, mode):
+    """68, 95 and 99.7 % of a normal error, less what so few flights may miss by chance."""
+    size = np.abs(ratios(scenario, mode))
+    assert np.mean(size < 1.0) > 0.62
+    assert np.mean(size < 2.0) > 0.92
+    assert np.mean(size < 3.0) > 0.99
+    assert np.mean(size**2) < 1.3
+
+
+@pytest.mark.parametrize("mode", ["velocity", "gated"])
+@pytest.mark.parametrize("scenario", ["flight", "circling"])
+def test_the_sigma_is_no_more_than_twice_the_error(ratios, scenario, mode):
+    assert np.mean(ratios(scenario, mode) ** 2) > 0.25
