@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from ahrs_service.fusion.strapdown import grow_covariance, mean_force, rotate
+from ahrs_service.fusion.strapdown import mean_force, rotate
 from ahrs_service.rotation import inverse_columns, multiply_columns
 
 CONE_RAD, CONE_RAD_S = 0.1, 2 * math.pi * 5.0
@@ -117,27 +117,6 @@ def test_the_mean_force_of_a_body_that_turns_evenly_is_that_of_the_arc():
     arc = [3.0 * math.sin(angle) / angle, -3.0 * (1.0 - math.cos(angle)) / angle, -9.0]
     # The series ends at the third power of the angle.
     np.testing.assert_allclose(out, arc, atol=3.0 * angle**3 / 24.0 * 1.01)
-
-
-def test_covariance_equals_the_matrix_form():
-    rng = np.random.default_rng(1)
-    square = rng.normal(size=(9, 9))
-    p = square @ square.T
-    rotation_s, impulse = 0.02 * rng.normal(size=(3, 3)), rng.normal(size=3)
-    angle, bias, velocity = 2e-5, 3e-7, 4e-3
-    by_bias, by_angle = np.eye(9), np.eye(9)
-    by_bias[:3, 3:6] = -rotation_s
-    # v' = v + psi x impulse.
-    by_angle[6:, :3] = [
-        [0.0, impulse[2], -impulse[1]],
-        [-impulse[2], 0.0, impulse[0]],
-        [impulse[1], -impulse[0], 0.0],
-    ]
-    transition = by_bias @ by_angle
-    noise = np.diag([angle] * 3 + [bias] * 3 + [velocity] * 3)
-    expected = transition @ p @ transition.T + noise
-    grow_covariance(p, rotation_s, impulse, angle, bias, velocity)
-    np.testing.assert_allclose(p, expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("angle", [1e-9, 1e-5, 1.1e-4, 1e-2, 3.0])
