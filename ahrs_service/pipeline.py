@@ -393,7 +393,9 @@ def _move(
     for i in range(3):
         accel[i] -= state["accel_bias_m_s2"][i]
     propagation.move(settings, state, airframe, gyro, accel, dt_s, flags)
-    if flags & _ACCEL_MISSING == 0:
+    if flags & _GAP != 0:
+        state["rest_s"] = 0.0
+    elif flags & _ACCEL_MISSING == 0:
         rest.follow(state, gyro, accel, dt_s, settings["gyro_rest_sigma_rad_s"])
     if state["turn_s"] >= propagation.TURN_S or flags & _JUDGED_AT_ONCE != 0:
         _turn(settings, state, sample, airframe, flags)

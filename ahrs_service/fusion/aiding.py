@@ -79,7 +79,7 @@ def hear_velocity(state: Record, sample: Record) -> None:
 @kernel
 def is_fresh(state: Record) -> bool:
     """Return whether a velocity was measured in the last two seconds."""
-    return bool(state["time_ns"] - state["measured_time_ns"] < VALID_NS)
+    return bool(0 <= state["time_ns"] - state["measured_time_ns"] < VALID_NS)
 
 
 @kernel
