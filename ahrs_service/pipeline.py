@@ -254,6 +254,9 @@ def _turn(settings: Record, state: Record, airframe: int, flags: int) -> None:
         state["force_ned_m_s2"],
         correction,
     )
+    # The velocity that a correction adds turns with the heading as that of an impulse does.
+    for i in range(3):
+        state["turn_impulse_m_s"][i] += correction[6 + i]
     matrix(state["ned_from_body"], state["dcm"])
 
 

@@ -83,4 +83,6 @@ def correct(settings: Record, state: Record, mag: Floats, dt_s: float) -> None:
         state["force_ned_m_s2"],
         correction,
     )
+    for i in range(3):
+        state["turn_impulse_m_s"][i] += correction[6 + i]
     matrix(state["ned_from_body"], state["dcm"])
