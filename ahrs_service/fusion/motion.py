@@ -66,9 +66,13 @@ def hold_at_rest(state: Record, correction: Floats, dt_s: float, rate_sigma: flo
     """Measure velocity 0 and, where the rate is within its bounds, the gyro bias."""
     p = state["covariance"]
     slow = max(1.0, REST_VELOCITY_CORRELATION_S / dt_s)
+    axis, velocity = np.zeros(3), state["velocity_ned_m_s"]
     for i in range(3):
-        velocity = state["velocity_ned_m_s"][i]
-        correct_state(p, correction, 6 + i, -velocity, REST_VELOCITY_SIGMA_M_S**2 * slow)
+        # As a bound along an axis, not as a velocity to the north: that would tell the heading.
+        axis[i] = 1.0
+        variance = REST_VELOCITY_SIGMA_M_S**2 * slow
+        correct_body_velocity(p, correction, axis, velocity, -velocity[i], variance)
+        axis[i] = 0.0
     slow = max(1.0, REST_RATE_CORRELATION_S / dt_s)
     for i in range(3):
         rate = state["mean_rate_rad_s"][i] - state["gyro_bias_rad_s"][i]
