@@ -254,9 +254,7 @@ def _turn(settings: Record, state: Record, airframe: int, flags: int) -> None:
         state["force_ned_m_s2"],
         correction,
     )
-    # The velocity that a correction adds turns with the heading as that of an impulse does.
-    for i in range(3):
-        state["turn_impulse_m_s"][i] += correction[6 + i]
+    propagation.carry(state, correction)
     matrix(state["ned_from_body"], state["dcm"])
 
 
@@ -285,6 +283,7 @@ def _write_estimate(state: Record, sample: Record, accel: Floats, flags: int, ou
         out["attitude_sigma_rad"][i] = math.sqrt(state["covariance"][i, i])
         out["gyro_bias_sigma_rad_s"][i] = math.sqrt(state["covariance"][3 + i, 3 + i])
         out["residual_m_s2"][i] = accel[i] + STANDARD_GRAVITY_M_S2 * state["dcm"][2, i]
+    out["attitude_sigma_rad"][2] = heading.sigma(state)
     out["temperature_degc"] = sample["temperature_degc"]
     out["gate"] = state["gate"]
     out["flags"] = flags

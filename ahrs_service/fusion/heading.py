@@ -5,7 +5,7 @@ reference, which is the field's part along the meridian (horizontal and down, so
 one) as slowly followed while undisturbed. A disturbance from any direction that shows d [uT] in
 those two hides d / sqrt(2) across them, which turns a horizontal field H by d / (sqrt(2) H):
 
-    variance = sigma^2 + d^2 / (2 H^2)
+    variance = sigma^2 + d^2 / (2 H^2) (1 + d^2 / limit^2) + (down / H)^2 tilt variance
 
 There is no sharp limit, so a heading that has become doubtful itself comes back to any field in
 the end. Without a magnetometer the heading starts at 0 and runs free, with a sigma that grows.
@@ -18,6 +18,7 @@ import numpy as np
 
 from ahrs_service.fusion import hard_iron
 from ahrs_service.fusion.mekf import apply_correction, correct_state
+from ahrs_service.fusion.propagation import carry
 from ahrs_service.fusion.strapdown import ERROR_STATES
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats, Record
@@ -48,7 +49,7 @@ SENSOR_MAX_UT: Final = 1e4
 """No magnetometer of a vehicle measures more; NaN is not below it either."""
 AZIMUTH_SIGMA_RAD: Final = 0.06
 """Of an undisturbed azimuth: 1 uT of hard iron or of a building against 16 uT [rad]."""
-CORRELATION_S: Final = 20.0
+CORRELATION_S: Final = 10.0
 """What disturbs a field stays about this long: closer azimuths are not independent [s]."""
 FIRST_SIGMA_RAD: Final = 0.2
 """Of the azimuth of one reading with a first tilt [rad]."""
@@ -56,9 +57,11 @@ TURN_S: Final = 0.02
 SAME_FIELD: Final = 0.1
 """Share of the norm within which a field counts as undisturbed and moves the reference."""
 SETTLE_S: Final = 1.0
+SETTLED_TILT_RAD: Final = 0.1
+"""Before the tilt is known to this, the field's dip is not known either [rad]."""
 FOLLOW_S: Final = 20.0
 """The reference is an average over this time [s]."""
-ACCEPT_S: Final = 20.0
+ACCEPT_S: Final = 30.0
 ACCEPT_RATE_RAD_S: Final = 0.35
 """Another field becomes the reference after so long of turning in it [s] at this rate: a magnet
 beside a vehicle at rest shows the same field as well, but no longer when the vehicle turns."""
@@ -79,10 +82,10 @@ def first_heading(settings: Record, state: Record, mag: Floats) -> None:
     p = state["covariance"]
     for i in range(ERROR_STATES):
         p[2, i] = p[i, 2] = 0.0
-    p[2, 2] = FIRST_SIGMA_RAD**2
     state["heading_source"] = 1
     state["reference_ut"][0] = math.sqrt(north * north + east * east)
     state["reference_ut"][1] = dcm[2, 0] * mag[0] + dcm[2, 1] * mag[1] + dcm[2, 2] * mag[2]
+    p[2, 2] = min(FIRST_SIGMA_RAD**2 + _by_tilt(state), math.pi**2)
     state["reference_s"] = state["other_s"] = 0.0
     _begin_average(state)
     hard_iron.start(state)
@@ -116,6 +119,15 @@ def _begin_average(state: Record) -> None:
 
 
 @kernel
+def sigma(state: Record) -> float:
+    """Return the heading's 1-sigma [rad]: no average takes out where the field itself points."""
+    variance = state["covariance"][2, 2]
+    if state["heading_source"] != 0:
+        variance = min(variance + AZIMUTH_SIGMA_RAD**2, math.pi**2)
+    return math.sqrt(variance)
+
+
+@kernel
 def correct(settings: Record, state: Record, mag: Floats, dt_s: float) -> None:
     """Gather one field reading [3] [uT], NaN where there is none; once per turn correct."""
     if settings["use_magnetometer"] == 0:
@@ -130,9 +142,7 @@ def correct(settings: Record, state: Record, mag: Floats, dt_s: float) -> None:
         dcm, sums = state["dcm"], state["mag_dcm"]
         state["mag_count"] += 1
         for i in range(3):
-            state["mag_field_ut"][i] += (
-                dcm[i, 0] * mag[0] + dcm[i, 1] * mag[1] + dcm[i, 2] * mag[2]
-            )
+            state["mag_field_ut"][i] += dcm[i, 0] * mag[0] + dcm[i, 1] * mag[1] + dcm[i, 2] * mag[2]
             for j in range(3):
                 sums[i, j] += dcm[i, j]
     if state["mag_count"] > 0 and state["mag_s"] >= TURN_S:
@@ -152,19 +162,31 @@ def _take_average(settings: Record, state: Record) -> None:
     freed_east = east - share * (dcm[1, 0] * iron[0] + dcm[1, 1] * iron[1] + dcm[1, 2] * iron[2])
     freed_down = down - share * (dcm[2, 0] * iron[0] + dcm[2, 1] * iron[1] + dcm[2, 2] * iron[2])
     freed2 = _misfit2(state, freed_north, freed_east, freed_down)
-    hidden2 = 0.5 * misfit2
+    hidden2 = _hidden2(state, misfit2)
     if hard_iron.judge(state, misfit2, freed2, dt_s):
         north, east, down = freed_north, freed_east, freed_down
         misfit2 = freed2
-        hidden2 = 0.5 * freed2 + _iron_across2(state, north, east, share)
+        hidden2 = _hidden2(state, freed2) + _iron_across2(state, north, east, share)
     if not misfit2 < math.inf:
         # Damaged saved bytes: begin anew.
         state["heading_source"] = 0
         return
-    variance = AZIMUTH_SIGMA_RAD**2 + hidden2 / state["reference_ut"][0] ** 2
+    variance = AZIMUTH_SIGMA_RAD**2 + hidden2 / state["reference_ut"][0] ** 2 + _by_tilt(state)
     error = settings["declination_rad"] - math.atan2(east, north)
     _turn_heading(state, math.atan2(math.sin(error), math.cos(error)), variance, dt_s)
     _follow_field(state, math.sqrt(north * north + east * east), down, misfit2, dt_s)
+
+
+@kernel
+def _by_tilt(state: Record) -> float:
+    """Variance of the azimuth [rad^2] that the tilt's brings in: a steep field is tilted across."""
+    slope = state["reference_ut"][1] / state["reference_ut"][0]
+    return float(slope * slope * _tilt_variance(state))
+
+
+@kernel
+def _tilt_variance(state: Record) -> float:
+    return float(0.5 * (state["covariance"][0, 0] + state["covariance"][1, 1]))
 
 
 @kernel
@@ -173,6 +195,19 @@ def _misfit2(state: Record, north: float, east: float, down: float) -> float:
     horizontal = math.sqrt(north * north + east * east)
     reference = state["reference_ut"]
     return float((horizontal - reference[0]) ** 2 + (down - reference[1]) ** 2)
+
+
+@kernel
+def _limit2(state: Record) -> float:
+    """Square of how far an undisturbed field may miss the reference [uT^2]."""
+    reference = state["reference_ut"]
+    return float(SAME_FIELD**2 * (reference[0] ** 2 + reference[1] ** 2))
+
+
+@kernel
+def _hidden2(state: Record, misfit2: float) -> float:
+    """Variance across the meridian by the misfit [uT^2]; it grows faster beyond the limit."""
+    return 0.5 * misfit2 * (1.0 + misfit2 / _limit2(state))
 
 
 @kernel
@@ -213,8 +248,7 @@ def _turn_heading(state: Record, error: float, variance: float, dt_s: float) -> 
         state["force_ned_m_s2"],
         correction,
     )
-    for i in range(3):
-        state["turn_impulse_m_s"][i] += correction[6 + i]
+    carry(state, correction)
     matrix(state["ned_from_body"], state["dcm"])
 
 
@@ -224,7 +258,9 @@ def _follow_field(
 ) -> None:
     """Let the reference follow a field like itself, or one that stays the same in turns."""
     reference, other = state["reference_ut"], state["other_ut"]
-    limit2 = SAME_FIELD**2 * (reference[0] * reference[0] + reference[1] * reference[1])
+    limit2 = _limit2(state)
+    if _tilt_variance(state) > SETTLED_TILT_RAD**2:
+        state["reference_s"] = 0.0
     if misfit2 < limit2 or state["reference_s"] < SETTLE_S:
         state["reference_s"] = min(state["reference_s"] + dt_s, FOLLOW_S)
         weight = dt_s / state["reference_s"]

@@ -128,6 +128,18 @@ def grow(settings: Record, state: Record) -> float:
 
 
 @kernel
+def carry(state: Record, correction: Floats) -> None:
+    """Let the covariance follow the velocity that a correction added, as it does an impulse's.
+
+    A heading that nothing tells is the direction (psi, v) = (down, down x v). Where the estimate of
+    v is moved and the covariance is not, bounds of the velocity would seem to tell it (Huang,
+    Mourikis, Roumeliotis 2010 on consistency; Barrau, Bonnabel 2017 with an invariant error).
+    """
+    for i in range(3):
+        state["turn_impulse_m_s"][i] += correction[6 + i]
+
+
+@kernel
 def begin_turn(state: Record) -> None:
     """Set the turn's integrals to zero."""
     state["turn_s"] = 0.0
