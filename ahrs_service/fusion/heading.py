@@ -59,12 +59,12 @@ SAME_FIELD: Final = 0.1
 SETTLE_S: Final = 1.0
 SETTLED_TILT_RAD: Final = 0.1
 """Before the tilt is known to this, the field's dip is not known either [rad]."""
-FOLLOW_S: Final = 20.0
-"""The reference is an average over this time [s]."""
-ACCEPT_S: Final = 30.0
+FOLLOW_S: Final = 30.0
+"""The reference is an average over this time [s]. Another field that stays the same becomes the
+reference once it held for as long, or for as long as a younger reference did."""
 ACCEPT_RATE_RAD_S: Final = 0.35
-"""Another field becomes the reference after so long of turning in it [s] at this rate: a magnet
-beside a vehicle at rest shows the same field as well, but no longer when the vehicle turns."""
+"""Only the time of turning at this rate counts for that: a magnet beside a vehicle at rest shows
+the same field as well, but no longer when the vehicle turns."""
 OUTLIER_SIGMA: Final = 3.0
 
 
@@ -268,7 +268,7 @@ def _follow_field(
         reference[1] += weight * (down - reference[1])
         state["other_s"] = 0.0
         return
-    if (horizontal - other[0]) ** 2 + (down - other[1]) ** 2 > limit2:
+    if not (horizontal - other[0]) ** 2 + (down - other[1]) ** 2 < limit2:
         state["other_s"] = 0.0
     if state["other_s"] == 0.0:
         other[0], other[1] = horizontal, down
@@ -280,6 +280,6 @@ def _follow_field(
     if rate2 > ACCEPT_RATE_RAD_S**2:
         state["other_s"] += dt_s
     plausible = FIELD_MIN_UT**2 < other[0] * other[0] + other[1] * other[1] < FIELD_MAX_UT**2
-    if state["other_s"] > ACCEPT_S and plausible:
+    if state["other_s"] > max(state["reference_s"], SETTLE_S) and plausible:
         reference[0], reference[1] = other[0], other[1]
         state["other_s"] = 0.0

@@ -130,6 +130,13 @@ def test_another_field_becomes_the_reference_after_turning_in_it():
     np.testing.assert_allclose(late["reference_ut"][0], [22.0, 30.0], atol=0.3)
 
 
+def test_first_reference_of_a_second_gives_way_within_seconds():
+    samples, attitude = tumble(30.0)
+    samples["mag_ut"][: at(4.0)] = in_body(attitude[: at(4.0)], np.array([30.0, 0.0, 30.0]))
+    _, state = run(samples)
+    np.testing.assert_allclose(state["reference_ut"][0], [16.0, 42.0], atol=0.5)
+
+
 def test_another_field_at_rest_is_not_accepted():
     samples, attitude = tumble(100.0, still_s=100.0)
     samples["mag_ut"][at(40.0) :] = in_body(attitude[at(40.0) :], np.array([22.0, 9.0, 30.0]))
