@@ -241,9 +241,7 @@ def _gravity_variance(settings: Record, airframe: int) -> float:
 
 
 @kernel
-def _turn(
-    settings: Record, state: Record, sample: Record, airframe: int, flags: int
-) -> None:
+def _turn(settings: Record, state: Record, sample: Record, airframe: int, flags: int) -> None:
     """Propagate the covariance, then correct by all that is known of the vehicle's motion."""
     propagation.grow(settings, state, sample["temperature_degc"])
     dt_s = state["turn_s"]
@@ -307,6 +305,7 @@ def _write_estimate(state: Record, sample: Record, accel: Floats, flags: int, ou
         out["attitude_sigma_rad"][i] = math.sqrt(state["covariance"][i, i])
         out["gyro_bias_sigma_rad_s"][i] = math.sqrt(state["covariance"][3 + i, 3 + i])
         out["residual_m_s2"][i] = accel[i] + STANDARD_GRAVITY_M_S2 * state["dcm"][2, i]
+    out["attitude_sigma_rad"][2] = heading.sigma(state)
     out["temperature_degc"] = sample["temperature_degc"]
     out["gate"] = state["gate"]
     out["flags"] = flags
@@ -395,6 +394,7 @@ def _move(
     propagation.move(settings, state, airframe, gyro, accel, dt_s, flags)
     if flags & _GAP != 0:
         state["rest_s"] = 0.0
+        aiding.break_off(state)
     elif flags & _ACCEL_MISSING == 0:
         rest.follow(state, gyro, accel, dt_s, settings["gyro_rest_sigma_rad_s"])
     if state["turn_s"] >= propagation.TURN_S or flags & _JUDGED_AT_ONCE != 0:

@@ -12,6 +12,7 @@ import numpy as np
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.fusion.states import (
     ACCEL_BIAS,
+    ANGLE,
     ERROR_STATES,
     GATED,
     GYRO_BIAS,
@@ -26,9 +27,7 @@ from ahrs_service.rotation import from_rotation_vector, matrix, multiply, normal
 
 
 @kernel
-def propagate(
-    p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats
-) -> None:
+def propagate(p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats) -> None:
     """Propagate the covariance `p` [n, n] over an interval, without noise.
 
     `rotation_s` [3, 3] is the integral of C_nb [s], `rate` [3] the mean measured rate [rad/s],
@@ -85,9 +84,7 @@ def _turn_angle_rows(p: Floats, states: int, rotation_s: Floats, rate: Floats) -
 
 
 @kernel
-def _turn_row(
-    x: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats
-) -> None:
+def _turn_row(x: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats) -> None:
     """Apply the transition to one row [n]; velocity first, by the angle before."""
     a, b, c = x[GYRO_BIAS], x[GYRO_BIAS + 1], x[GYRO_BIAS + 2]
     if states > GATED:
@@ -169,9 +166,7 @@ def _take(
 
 
 @kernel
-def correct_tilt(
-    state: Record, correction: Floats, h: Floats, axis: int, variance: float
-) -> None:
+def correct_tilt(state: Record, correction: Floats, h: Floats, axis: int, variance: float) -> None:
     """Measure the error angle about north (0) or east (1) by gravity; `h` [n] comes and goes zero.
 
     What the accelerometer's bias adds: -(C b)_E / g about north, (C b)_N / g about east.
@@ -226,8 +221,11 @@ def turn_about_down(state: Record, angle_rad: float) -> None:
     matrix(q, state["dcm"])
     for vector in (state["velocity_ned_m_s"], state["force_ned_m_s2"], state["wind_ned_m_s"]):
         vector[0], vector[1] = c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]
+    for n in range(len(state["history_m_s"])):
+        v = state["history_m_s"][n]
+        v[0], v[1] = c * v[0] - s * v[1], s * v[0] + c * v[1]
     p = state["covariance"]
-    for k in (0, VELOCITY, WIND):
+    for k in (ANGLE, VELOCITY, WIND):
         for i in range(ERROR_STATES):
             p[k, i], p[k + 1, i] = c * p[k, i] - s * p[k + 1, i], s * p[k, i] + c * p[k + 1, i]
         for i in range(ERROR_STATES):
