@@ -272,10 +272,11 @@ class Swing:
 
     REST_S = 2.0
     SWELL_S = 1.0
+    STILL = (((0.0, 1.0, 0.0),),) * 3
 
-    def __init__(self, angles: Any, velocities: Any = ()) -> None:
+    def __init__(self, angles: Any, velocities: Any = STILL) -> None:
         self._angles = np.asarray(angles, np.float64)
-        self._velocities = np.asarray(velocities or np.zeros((3, 1, 3)), np.float64)
+        self._velocities = np.asarray(velocities, np.float64)
 
     def _sines(self, terms: Any, t: Any) -> tuple[Any, Any]:
         """Values and slopes [N, 3], at rest before REST_S, at full size SWELL_S later."""
