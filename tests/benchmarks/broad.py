@@ -1,6 +1,7 @@
-"""Inclination and total error on the BROAD trials: ours and the peers, all causal.
+"""Inclination and total error on the BROAD trials: ours and the peers.
 
-Run: python tests/benchmarks/broad.py [--data DIR] [--no-ahrs] [--json OUT]
+Run: python tests/benchmarks/broad.py [--data DIR] [--no-ahrs] [--only-ours] [--contract]
+                                      [--json OUT]
 
 DIR holds the trials as .npz (default: ../shared/data/broad beside the project), with imu_gyr,
 imu_acc, imu_mag, opt_quat, movement, sampling_rate. With e = q_estimate * conj(q_optical):
@@ -10,8 +11,9 @@ imu_acc, imu_mag, opt_quat, movement, sampling_rate. With e = q_estimate * conj(
 
 RMS over the samples in movement with a finite reference, one figure per trial, and their plain
 mean. The second pair of tables has one constant lag of the output per algorithm fitted out, so
-that neither delay nor prediction counts. Ours runs as --profile hand_held --frame flu; one trial
-also goes through the command `ahrs-service estimate` and must give the same bytes.
+that neither delay nor prediction counts. Ours runs as --profile hand_held --frame flu; the first
+trial, with --contract every one, also goes through `ahrs-service estimate` as a process and must
+give the same bytes. "ours offline" is that process with --offline, not causal, where it has that.
 
 D. Laidig, M. Caruso, A. Cereatti, T. Seel: BROAD - A Benchmark for Robust Inertial Orientation
 Estimation. Data 6 (7), 72, 2021. https://doi.org/10.3390/data6070072
@@ -19,13 +21,12 @@ Estimation. Data 6 (7), 72, 2021. https://doi.org/10.3390/data6070072
 
 import argparse
 import json
-import subprocess
 import sys
-import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import contract
 import numpy as np
 from peers import (
     PEERS,
@@ -43,7 +44,8 @@ from ahrs_service.app.estimate import PROFILES, estimate_columns, read_columns
 from ahrs_service.settings import Settings
 
 PROFILE = "hand_held"
-OURS = {"ours": "velocity", "ours gated": "gated"}
+OURS = {"ours": Settings().fusion.mode, "ours gated": "gated"}
+OFFLINE = "ours offline"
 LAGS_S = np.arange(-0.016, 0.0161, 0.002)
 
 
@@ -83,6 +85,9 @@ def _settings(mode: str) -> Settings:
 
 def answers(name: str, trial: Trial) -> tuple[Floats, Floats]:
     """Attitudes [N, 4] by six and by nine axes."""
+    if name == OFFLINE:
+        out = contract.run_estimate(trial.path, PROFILE, "flu", "--offline")
+        return out["quat"], out["quat9"]
     if name in OURS:
         out = estimate_columns(read_columns(trial.path), _settings(OURS[name]), "flu")
         return out["quat"], out["quat9"]
@@ -159,14 +164,8 @@ def table(title: str, key: str, results: dict[str, Any], trials: list[Trial]) ->
 
 def check_command(trial: Trial) -> None:
     """Run the command on one trial; leave with an error where it answers otherwise."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "out.npz"
-        words = ["--in", str(trial.path), "--out", str(path), "--profile", PROFILE]
-        command = [sys.executable, "-m", "ahrs_service.app.cli", "estimate", "--frame", "flu"]
-        subprocess.run([*command, *words], check=True, capture_output=True)
-        with np.load(path) as file:
-            said = (file["quat"], file["quat9"])
-    for ours, theirs in zip(answers("ours", trial), said, strict=True):
+    said = contract.run_estimate(trial.path, PROFILE, "flu")
+    for ours, theirs in zip(answers("ours", trial), (said["quat"], said["quat9"]), strict=True):
         if not np.array_equal(ours, theirs):
             raise SystemExit(f"{trial.name}: the command's answer differs from the function's")
 
@@ -179,6 +178,7 @@ def main() -> int:
     parser.add_argument("--data", type=Path, default=SHARED_DATA / "broad", metavar="DIR")
     parser.add_argument("--no-ahrs", action="store_true", help="leave out what is slow (minutes)")
     parser.add_argument("--only-ours", action="store_true")
+    parser.add_argument("--contract", action="store_true", help="all trials by the command too")
     parser.add_argument("--json", type=Path, metavar="OUT")
     args = parser.parse_args()
     data = require_data(args.data, "the BROAD trials as .npz")
@@ -186,13 +186,15 @@ def main() -> int:
     if not paths:
         raise SystemExit(f"{data} holds no .npz: give --data DIR with the BROAD trials")
     trials = [read_trial(path) for path in paths]
-    names = [*OURS]
+    names = [*OURS, OFFLINE] if contract.offers("--offline") else [*OURS]
     if not args.only_ours:
         left_out = ("Mahony", "Madgwick") if args.no_ahrs else ()
         names += [name for name in PEERS if not left_out or not name.startswith(left_out)]
     log = Console(stderr=True)
-    check_command(trials[0])
-    log.print(f"the command gives the same bytes on {trials[0].name}", highlight=False)
+    checked = trials if args.contract else trials[:1]
+    for trial in checked:
+        check_command(trial)
+    log.print(f"the command gives the same bytes on {len(checked)} trials", highlight=False)
     results = {}
     for name in names:
         log.print(name, highlight=False)
