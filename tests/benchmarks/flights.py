@@ -230,6 +230,7 @@ def run(args: argparse.Namespace, names: list[str], log: Console) -> dict[str, A
             "samples": len(samples),
             "running": float(running.mean()),
             "reference": flight.reference.name,
+            "trim_deg": flight.trim_deg,
             "aided_by": {
                 "airspeed": int(np.isfinite(samples["airspeed_m_s"]).sum()),
                 "velocity": int(np.isfinite(samples["velocity_ned_m_s"]).any(axis=1).sum()),
@@ -259,11 +260,13 @@ def report(results: dict[str, Any], names: list[str]) -> None:
         out.print(one)
         out.print()
     for name, result in results.items():
-        steady_s, aid = result["errors"]["ours"]["steady_s"], result["aided_by"]
+        own, aid, trim = result["errors"]["ours"], result["aided_by"], result["trim_deg"]
+        mean = _pair(own["roll_mean"], own["pitch_mean"])
+        known = "" if trim is None else f" (AHRS_TRIM {trim[0]:.2f} {trim[1]:.2f})"
         out.print(
-            f"{name}: {result['duration_s']:.0f} s, steady {steady_s:.0f} s, {result['airframe']}, "
-            f"reference {result['reference']}; samples with airspeed {aid['airspeed']}, "
-            f"velocity {aid['velocity']}",
+            f"{name}: {result['duration_s']:.0f} s, steady {own['steady_s']:.0f} s, "
+            f"{result['airframe']}, reference {result['reference']}; mean error {mean}{known}; "
+            f"samples with airspeed {aid['airspeed']}, velocity {aid['velocity']}",
             highlight=False,
         )
 
