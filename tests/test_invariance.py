@@ -139,14 +139,19 @@ def test_the_time_of_day_does_not_matter(flight, mode, shift_ns):
 
 
 @modes
-@pytest.mark.parametrize(("fast_hz", "slow_hz"), [(1000, 500), (500, 100), (200, 50)])
-def test_the_rate_of_the_stream_hardly_matters(swing, mode, fast_hz, slow_hz):
+@pytest.mark.parametrize("gyro_sample", ["instant", "mean"])
+@pytest.mark.parametrize(
+    ("fast_hz", "slow_hz", "limit_deg"), [(1000, 500, 0.01), (500, 100, 0.06), (200, 50, 0.2)]
+)
+def test_the_rate_of_the_stream_hardly_matters(
+    swing, mode, gyro_sample, fast_hz, slow_hz, limit_deg
+):
     motion, t = shaken(swing, 7), regular(20.0, fast_hz)
-    every = fast_hz // slow_hz
-    fast, _ = run(motion.samples(t), mode)
-    slow, _ = run(motion.samples(t[::every]), mode)
+    every, is_mean = fast_hz // slow_hz, gyro_sample == "mean"
+    fast, _ = run(motion.samples(t, is_mean), mode, gyro_sample=gyro_sample)
+    slow, _ = run(motion.samples(t[::every], is_mean), mode, gyro_sample=gyro_sample)
     between = angles_deg(fast["ned_from_body"][::every], slow["ned_from_body"])
-    assert between.max() < 40.0 / slow_hz
+    assert between.max() < limit_deg
     assert tilts_deg(motion.attitude(t[::every]), slow["ned_from_body"]).max() < 3.0
 
 
