@@ -126,6 +126,20 @@ def test_how_the_sensor_is_mounted_in_the_hand_does_not_matter(swing, mode, moun
 
 
 @modes
+@pytest.mark.parametrize("seed", range(4))
+def test_a_flight_is_the_same_however_the_sensor_is_mounted(flight, mode, seed):
+    """With a bound on the velocity that is alike on all axes, and with every gate in play."""
+    samples = without_mag(flight[0])
+    mounting = np.random.default_rng(seed).normal(size=(1, 4))
+    mounting /= np.linalg.norm(mounting)
+    straight, _ = run(samples, mode)
+    other, _ = run(turned(samples, mounting), mode)
+    back = multiply_columns(other["ned_from_body"], mounting)
+    np.testing.assert_array_equal(other["gate"], straight["gate"])
+    assert tilts_deg(back, straight["ned_from_body"]).max() < 1e-5
+
+
+@modes
 @pytest.mark.parametrize("shift_ns", [-(10**9), 10**17])
 def test_the_time_of_day_does_not_matter(flight, mode, shift_ns):
     samples = flight[0].copy()

@@ -33,6 +33,13 @@ def tilt_from_force(force_ned: Floats, tilt: Floats) -> None:
 
 
 @kernel
+def tilt_variance(p: Floats) -> float:
+    """Larger principal variance of the tilt [rad^2]; it does not depend on where north is."""
+    half, cross = 0.5 * (p[0, 0] - p[1, 1]), p[0, 1]
+    return p[1, 1] + half + math.sqrt(half * half + cross * cross)
+
+
+@kernel
 def _correct(p: Floats, correction: Floats, ph: Floats, s: float, innovation: float) -> None:
     """Take one scalar innovation of variance `s`, `ph` [9] being P h, into both."""
     for i in range(ERROR_STATES):
