@@ -214,7 +214,7 @@ def _judge(settings: Record, state: Record, airframe: int, dt_s: float, flags: i
     metrics[1] = _norm(state["smooth_rate_rad_s"])
     metrics[2] = _norm(state["angular_acceleration_rad_s2"])
     mekf.tilt_from_force(state["force_ned_m_s2"], tilt)
-    spread2 = max(p[0, 0], p[1, 1]) + _gravity_variance(settings, airframe)
+    spread2 = mekf.tilt_variance(p) + _gravity_variance(settings, airframe)
     metrics[3] = math.sqrt((tilt[0] * tilt[0] + tilt[1] * tilt[1]) / spread2)
     reasons = gating.motion_reasons(
         metrics,

@@ -120,6 +120,13 @@ def tilt_from_force(force_ned: Floats, tilt: Floats) -> None:
 
 
 @kernel
+def tilt_variance(p: Floats) -> float:
+    """Larger principal variance of the tilt [rad^2]; it does not depend on where north is."""
+    half, cross = 0.5 * (p[0, 0] - p[1, 1]), p[0, 1]
+    return p[1, 1] + half + math.sqrt(half * half + cross * cross)
+
+
+@kernel
 def correct(
     p: Floats, correction: Floats, states: int, h: Floats, innovation: float, variance: float
 ) -> float:
