@@ -22,6 +22,7 @@ from ahrs_service.fusion import (
     motion,
     propagation,
     rest,
+    tape,
     timebase,
 )
 from ahrs_service.fusion.states import ERROR_STATES
@@ -242,9 +243,11 @@ def _gravity_variance(settings: Record, airframe: int) -> float:
 
 @kernel
 def _turn(
-    settings: Record, state: Record, sample: Record, airframe: int, flags: int
+    settings: Record, state: Record, sample: Record, airframe: int, flags: int, nodes: Rows
 ) -> None:
     """Propagate the covariance, then correct by all that is known of the vehicle's motion."""
+    if nodes.shape[0] > 0:
+        tape.leave(state, nodes[0])
     propagation.grow(settings, state, sample["temperature_degc"])
     dt_s = state["turn_s"]
     work = np.zeros((2, ERROR_STATES))
@@ -252,6 +255,8 @@ def _turn(
     _judge(settings, state, airframe, dt_s, flags)
     uses_velocity = settings["use_velocity"] != 0
     at_rest = uses_velocity and rest.come_to_rest(state)
+    if nodes.shape[0] > 0:
+        tape.arrive(state, nodes[1])
     if at_rest:
         rest.hold(state, correction, h, dt_s, settings["gyro_rest_sigma_rad_s"])
     else:
@@ -344,7 +349,9 @@ def _airframe(settings: Record, sample: Record) -> int:
 
 
 @kernel
-def _step(settings: Record, coefficients: Rows, state: Record, sample: Record, out: Record) -> None:
+def _step(
+    settings: Record, coefficients: Rows, state: Record, sample: Record, out: Record, nodes: Rows
+) -> None:
     gyro, accel = state["gyro_rad_s"], state["accel_m_s2"]
     flags = sample["flags"] | compensate(
         coefficients,
@@ -363,7 +370,7 @@ def _step(settings: Record, coefficients: Rows, state: Record, sample: Record, o
         flags |= timing
         if not timing & timebase.NOT_INTEGRATED:
             flags = _realign_if_lost(settings, state, sample, dt_s, flags)
-            _move(settings, state, sample, gyro, accel, dt_s, flags)
+            _move(settings, state, sample, gyro, accel, dt_s, flags, nodes)
     _write_estimate(state, sample, accel, flags, out)
     _write_gate(state, out)
 
@@ -377,6 +384,7 @@ def _move(
     accel: Floats,
     dt_s: float,
     flags: int,
+    nodes: Rows,
 ) -> None:
     """Take one good sample: integrate, and at the end of a turn correct."""
     motion.hear_airspeed(state, sample)
@@ -396,7 +404,7 @@ def _move(
     if flags & _ACCEL_MISSING == 0:
         rest.follow(state, gyro, accel, dt_s, settings["gyro_rest_sigma_rad_s"])
     if state["turn_s"] >= propagation.TURN_S or flags & _JUDGED_AT_ONCE != 0:
-        _turn(settings, state, sample, airframe, flags)
+        _turn(settings, state, sample, airframe, flags, nodes)
         if not alignment.is_sound(state):
             _begin(settings, state, airframe)
             return
@@ -410,7 +418,8 @@ def _move(
 @kernel
 def step(parameters: Rows, coefficients: Rows, state: Rows, sample: Rows, estimate: Rows) -> None:
     """Take one sample [1], move `state` [1] on and write the estimate [1]."""
-    _step(parameters[0], coefficients, state[0], sample[0], estimate[0])
+    nodes = np.empty(0, tape.NODE_DTYPE)
+    _step(parameters[0], coefficients, state[0], sample[0], estimate[0], nodes)
 
 
 @kernel
@@ -418,5 +427,28 @@ def batch(
     parameters: Rows, coefficients: Rows, state: Rows, samples: Rows, estimates: Rows
 ) -> None:
     """Take `samples` [N] one after the other and write `estimates` [N]: the same as N steps."""
+    nodes = np.empty(0, tape.NODE_DTYPE)
     for n in range(samples.shape[0]):
-        _step(parameters[0], coefficients, state[0], samples[n], estimates[n])
+        _step(parameters[0], coefficients, state[0], samples[n], estimates[n], nodes)
+
+
+@kernel
+def record(
+    parameters: Rows,
+    coefficients: Rows,
+    state: Rows,
+    samples: Rows,
+    estimates: Rows,
+    nodes: Rows,
+    used: int,
+    first: int,
+) -> int:
+    """Do what `batch` does and write what the smoother needs into `nodes` [>= used + N + 1].
+
+    `first` is the number of the first of `samples`. Return the new `used`, 1 at first.
+    """
+    for n in range(samples.shape[0]):
+        pair = nodes[used - 1 : used + 1]
+        _step(parameters[0], coefficients, state[0], samples[n], estimates[n], pair)
+        used += tape.close(state[0], pair[1], first + n)
+    return used

@@ -39,9 +39,7 @@ def propagate(
 
     The rows are turned for all columns; of the columns only where row and column change both.
     """
-    if states > GATED:
-        _turn_velocity_rows(p, states, rotation_s, impulse)
-    _turn_angle_rows(p, states, rotation_s, rate)
+    turn_rows(p, states, rotation_s, rate, impulse)
     changed = 6 if states > GATED else 3
     for n in range(changed):
         row = n if n < 3 else n - 3 + VELOCITY
@@ -51,6 +49,16 @@ def propagate(
         for j in range(states):
             if j > row or GYRO_BIAS <= j < VELOCITY:
                 p[j, row] = p[row, j]
+
+
+@kernel
+def turn_rows(
+    p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats
+) -> None:
+    """Apply the transition to the rows of `p` [n, n] alone: the covariance of after and before."""
+    if states > GATED:
+        _turn_velocity_rows(p, states, rotation_s, impulse)
+    _turn_angle_rows(p, states, rotation_s, rate)
 
 
 @kernel
@@ -190,6 +198,8 @@ def correct_tilt(
 @kernel
 def apply_correction(state: Record, correction: Floats) -> None:
     """Move the correction into the state; the averaged force turns with the attitude."""
+    for i in range(state["states"]):
+        state["applied"][i] += correction[i]
     x, y, z = correction[0], correction[1], correction[2]
     multiply(from_rotation_vector(x, y, z), state["ned_from_body"], state["ned_from_body"])
     normalise(state["ned_from_body"])
@@ -226,8 +236,13 @@ def turn_about_down(state: Record, angle_rad: float) -> None:
     matrix(q, state["dcm"])
     for vector in (state["velocity_ned_m_s"], state["force_ned_m_s2"], state["wind_ned_m_s"]):
         vector[0], vector[1] = c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]
-    p = state["covariance"]
+    state["turned_rad"] += angle_rad
+    p, applied = state["covariance"], state["applied"]
     for k in (0, VELOCITY, WIND):
+        applied[k], applied[k + 1] = (
+            c * applied[k] - s * applied[k + 1],
+            s * applied[k] + c * applied[k + 1],
+        )
         for i in range(ERROR_STATES):
             p[k, i], p[k + 1, i] = c * p[k, i] - s * p[k + 1, i], s * p[k, i] + c * p[k + 1, i]
         for i in range(ERROR_STATES):

@@ -1,0 +1,53 @@
+"""Attitude of reference grade after the flight: the filter forward, then back over its tape."""
+
+from typing import Final
+
+import numpy as np
+
+from ahrs_service import pipeline
+from ahrs_service.fusion import smoother, tape
+from ahrs_service.records import Rows
+
+_MIN_NODES: Final = 1024
+
+
+class Smoother:
+    """Runs the filter and remembers what the way back needs: 3.1 kB per turn, 230 MB an hour."""
+
+    def __init__(self) -> None:
+        self._nodes = np.zeros(_MIN_NODES, tape.NODE_DTYPE)
+        self._used = 1
+        self._samples = 0
+
+    def batch(
+        self, parameters: Rows, coefficients: Rows, state: Rows, samples: Rows, estimates: Rows
+    ) -> None:
+        """Do what `pipeline.batch` does, to the same bytes."""
+        needed = self._used + len(samples) + 1
+        if needed > len(self._nodes):
+            # Rows that are never written take no memory.
+            nodes = np.zeros(max(needed, 2 * len(self._nodes)), tape.NODE_DTYPE)
+            nodes[: self._used] = self._nodes[: self._used]
+            self._nodes = nodes
+        self._used = pipeline.record(
+            parameters,
+            coefficients,
+            state,
+            samples,
+            estimates,
+            self._nodes,
+            self._used,
+            self._samples,
+        )
+        self._samples += len(samples)
+
+    def cut(self) -> None:
+        """Let nothing that comes now tell of what was before: another state was loaded."""
+        self._nodes = np.append(self._nodes[: self._used], np.zeros(1, tape.NODE_DTYPE))
+        self._used += 1
+
+    def smooth(self, estimates: Rows) -> Rows:
+        """Return the smoothed of all `estimates` [N] since the beginning."""
+        out = estimates.copy()
+        smoother.smooth(self._nodes, self._used, estimates, out)
+        return out
