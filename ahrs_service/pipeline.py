@@ -215,7 +215,7 @@ def _judge(settings: Record, state: Record, airframe: int, dt_s: float, flags: i
     metrics[1] = _norm(state["smooth_rate_rad_s"])
     metrics[2] = _norm(state["angular_acceleration_rad_s2"])
     mekf.tilt_from_force(state["force_ned_m_s2"], tilt)
-    spread2 = max(p[0, 0], p[1, 1]) + _gravity_variance(settings, airframe)
+    spread2 = mekf.tilt_variance(p) + _gravity_variance(settings, airframe)
     metrics[3] = math.sqrt((tilt[0] * tilt[0] + tilt[1] * tilt[1]) / spread2)
     reasons = gating.motion_reasons(
         metrics,
@@ -312,6 +312,7 @@ def _write_estimate(state: Record, sample: Record, accel: Floats, flags: int, ou
         out["attitude_sigma_rad"][i] = math.sqrt(state["covariance"][i, i])
         out["gyro_bias_sigma_rad_s"][i] = math.sqrt(state["covariance"][3 + i, 3 + i])
         out["residual_m_s2"][i] = accel[i] + STANDARD_GRAVITY_M_S2 * state["dcm"][2, i]
+    out["attitude_sigma_rad"][2] = heading.sigma(state)
     out["temperature_degc"] = sample["temperature_degc"]
     out["gate"] = state["gate"]
     out["flags"] = flags
@@ -401,7 +402,10 @@ def _move(
     for i in range(3):
         accel[i] -= state["accel_bias_m_s2"][i]
     propagation.move(settings, state, airframe, gyro, accel, dt_s, flags)
-    if flags & _ACCEL_MISSING == 0:
+    if flags & _GAP != 0:
+        state["rest_s"] = 0.0
+        aiding.break_off(state)
+    elif flags & _ACCEL_MISSING == 0:
         rest.follow(state, gyro, accel, dt_s, settings["gyro_rest_sigma_rad_s"])
     if state["turn_s"] >= propagation.TURN_S or flags & _JUDGED_AT_ONCE != 0:
         _turn(settings, state, sample, airframe, flags, nodes)

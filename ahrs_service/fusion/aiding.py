@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.fusion import mekf
+from ahrs_service.fusion import heading, mekf
 from ahrs_service.fusion.states import AIDED, ANGLE, ERROR_STATES, LAG, UNAIDED, VELOCITY, WIND
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Airframe, Floats, Record
@@ -79,7 +79,7 @@ def hear_velocity(state: Record, sample: Record) -> None:
 @kernel
 def is_fresh(state: Record) -> bool:
     """Return whether a velocity was measured in the last two seconds."""
-    return bool(state["time_ns"] - state["measured_time_ns"] < VALID_NS)
+    return bool(0 <= state["time_ns"] - state["measured_time_ns"] < VALID_NS)
 
 
 @kernel
@@ -90,6 +90,14 @@ def remember(state: Record) -> None:
     for i in range(3):
         state["history_m_s"][n, i] = state["velocity_ned_m_s"][i]
     state["history_next"] = (n + 1) % HISTORY
+
+
+@kernel
+def break_off(state: Record) -> None:
+    """Forget what was remembered: over a gap nothing lies between."""
+    state["measured_new"] = 0
+    for n in range(HISTORY):
+        state["history_time_ns"][n] = 0
 
 
 @kernel
@@ -136,7 +144,7 @@ def correct_velocity(
     if state["states"] == AIDED:
         slope_per_s = 1e9 / (later_ns - taken_ns) if known else 0.0
         _take(state, correction, h, then, later, slope_per_s)
-    elif state["heading_source"] != 0:
+    elif state["heading_source"] != heading.NONE:
         _begin(state, 0.0)
     else:
         _find_heading(state, airframe, then)
@@ -171,7 +179,7 @@ def _begin(state: Record, heading_sigma_rad: float) -> None:
     p = state["covariance"]
     if heading_sigma_rad > 0.0:
         mekf.forget(p, ANGLE + 2, heading_sigma_rad**2)
-        state["heading_source"] = 2
+        state["heading_source"] = heading.VELOCITY
     for i in range(2):
         v, w = VELOCITY + i, WIND + i
         mekf.forget(p, w, WIND_SIGMA_M_S**2)
@@ -188,7 +196,7 @@ def _begin(state: Record, heading_sigma_rad: float) -> None:
 def _lose_heading(state: Record) -> None:
     """Go on without the measured velocity until it tells a heading that agrees with it."""
     state["velocity_surprise"] = 0.0
-    state["heading_source"] = 0
+    state["heading_source"] = heading.NONE
     state["course_doubted"] = 1
     state["states"] = UNAIDED
     mekf.forget(state["covariance"], ANGLE + 2, math.pi**2)
@@ -205,8 +213,8 @@ def _find_heading(state: Record, airframe: int, then: Floats) -> None:
     v = state["measured_velocity_m_s"]
     speed2 = v[0] * v[0] + v[1] * v[1]
     if airframe == _FIXED_WING and speed2 > COURSE_SPEED_M_S**2 and state["course_doubted"] == 0:
-        heading = math.atan2(state["dcm"][1, 0], state["dcm"][0, 0])
-        _turn_to(state, math.atan2(v[1], v[0]) - heading, COURSE_SIGMA_RAD)
+        nose = math.atan2(state["dcm"][1, 0], state["dcm"][0, 0])
+        _turn_to(state, math.atan2(v[1], v[0]) - nose, COURSE_SIGMA_RAD)
         return
     match, matched = state["match"], state["matched_m_s"]
     span_s = (state["measured_time_ns"] - state["matched_time_ns"]) * 1e-9
@@ -230,10 +238,6 @@ def _find_heading(state: Record, airframe: int, then: Floats) -> None:
 @kernel
 def _turn_to(state: Record, angle_rad: float, sigma_rad: float) -> None:
     mekf.turn_about_down(state, angle_rad)
-    c, s = math.cos(angle_rad), math.sin(angle_rad)
-    for n in range(HISTORY):
-        v = state["history_m_s"][n]
-        v[0], v[1] = c * v[0] - s * v[1], s * v[0] + c * v[1]
     _begin(state, sigma_rad)
 
 

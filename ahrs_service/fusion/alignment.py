@@ -69,6 +69,9 @@ def start(settings: Record, state: Record, airframe: int) -> None:
         state["velocity_ned_m_s"][i] = 0.0
         state["gyro_sum_rad_s"][i] = 0.0
         state["gyro_square_sum"][i] = 0.0
+    for n in range(len(state["history_time_ns"])):
+        state["history_time_ns"][n] = 0
+    state["measured_new"] = 0
     state["wind_ned_m_s"][0] = state["wind_ned_m_s"][1] = 0.0
     state["heading_source"] = 0
     state["states"] = UNAIDED if settings["use_velocity"] != 0 else GATED

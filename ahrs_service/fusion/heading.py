@@ -1,6 +1,14 @@
 """Heading from the magnetic field: level the field by the tilt, take its azimuth.
 
-Without a usable magnetometer the heading starts at 0 and runs free, with a sigma that grows.
+The field is averaged in earth axes over a turn. What is trusted less the more it differs: from the
+reference, which is the field's part along the meridian (horizontal and down, so norm and dip in
+one) as slowly followed while undisturbed. A disturbance from any direction that shows d [uT] in
+those two hides d / sqrt(2) across them, which turns a horizontal field H by d / (sqrt(2) H):
+
+    variance = sigma^2 + d^2 / (2 H^2) (1 + d^2 / limit^2) + (down / H)^2 tilt variance
+
+There is no sharp limit, so a heading that has become doubtful itself comes back to any field in
+the end. Without a magnetometer the heading starts at 0 and runs free, with a sigma that grows.
 """
 
 import math
@@ -8,73 +16,245 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.fusion.mekf import apply_correction, correct_state
-from ahrs_service.fusion.states import ERROR_STATES
+from ahrs_service.fusion import hard_iron
+from ahrs_service.fusion.mekf import apply_correction, correct_state, forget, turn_about_down
+from ahrs_service.fusion.propagation import TURN_S
+from ahrs_service.fusion.states import ANGLE, ERROR_STATES
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats, Record
-from ahrs_service.rotation import from_rotation_vector, matrix, multiply, normalise
 
-HEADING_FIELDS: Final = [("field_ut", "f8"), ("heading_source", "i8")]
-"""Fields of the pipeline's state: norm of the field at alignment [uT], 1 where mag is in use."""
+HEADING_FIELDS: Final = [
+    ("heading_source", "i8"),
+    ("mag_count", "i8"),
+    ("mag_s", "f8"),
+    ("mag_field_ut", "f8", 3),
+    ("mag_dcm", "f8", (3, 3)),
+    ("reference_ut", "f8", 2),
+    ("reference_s", "f8"),
+    ("other_ut", "f8", 2),
+    ("other_s", "f8"),
+    *hard_iron.IRON_FIELDS,
+]
+"""Fields of the pipeline's state: where the heading comes from; count, time [s] and sums of
+field (earth axes) and matrix since the last correction; the field taken for undisturbed
+(horizontal, down) with the time it was averaged, and the candidate to replace it."""
 
+NONE: Final = 0
+FIELD: Final = 1
+VELOCITY: Final = 2
+"""Where the heading comes from: nowhere, the magnetic field, a measured velocity."""
 FIELD_MIN_UT: Final = 20.0
 FIELD_MAX_UT: Final = 70.0
 """The Earth's field at the surface lies between 22 and 67 uT (IGRF-14)."""
-FIELD_TOLERANCE: Final = 0.2
-"""Share by which the norm may differ from that at alignment before it counts as disturbed."""
-HEADING_SIGMA_RAD: Final = 0.2
-"""Of one azimuth of a fielded magnetometer: 10 deg hard-iron rest and some tilt error [rad]."""
-CORRELATION_S: Final = 1.0
-
-
-@kernel
-def _azimuth_error(dcm: Floats, mag: Floats, declination_rad: float) -> float:
-    """Error angle about down [rad] that explains the field [3] in body axes."""
-    north = dcm[0, 0] * mag[0] + dcm[0, 1] * mag[1] + dcm[0, 2] * mag[2]
-    east = dcm[1, 0] * mag[0] + dcm[1, 1] * mag[1] + dcm[1, 2] * mag[2]
-    error = declination_rad - math.atan2(east, north)
-    return math.atan2(math.sin(error), math.cos(error))
-
-
-@kernel
-def _norm(mag: Floats) -> float:
-    return math.sqrt(mag[0] * mag[0] + mag[1] * mag[1] + mag[2] * mag[2])
+SENSOR_MAX_UT: Final = 1e4
+"""No magnetometer of a vehicle measures more; NaN is not below it either."""
+AZIMUTH_SIGMA_RAD: Final = 0.06
+"""Of an undisturbed azimuth: 1 uT of hard iron or of a building against 16 uT [rad]."""
+CORRELATION_S: Final = 10.0
+"""What disturbs a field stays about this long: closer azimuths are not independent [s]."""
+FIRST_SIGMA_RAD: Final = 0.2
+"""Of the azimuth of one reading with a first tilt [rad]."""
+SAME_FIELD: Final = 0.1
+"""Share of the norm within which a field counts as undisturbed and moves the reference."""
+SETTLE_S: Final = 1.0
+SETTLED_TILT_RAD: Final = 0.1
+"""Before the tilt is known to this, the field's dip is not known either [rad]."""
+FOLLOW_S: Final = 30.0
+"""The reference is an average over this time [s]. Another field that stays the same becomes the
+reference once it held for as long, or for as long as a younger reference did."""
+ACCEPT_RATE_RAD_S: Final = 0.35
+"""Only the time of turning at this rate counts for that: a magnet beside a vehicle at rest shows
+the same field as well, but no longer when the vehicle turns."""
+OUTLIER_SIGMA: Final = 3.0
 
 
 @kernel
 def first_heading(settings: Record, state: Record, mag: Floats) -> None:
     """Turn the aligned attitude to the field's azimuth, if there is a plausible field."""
-    norm = _norm(mag)
-    state["heading_source"] = 0
+    norm = math.sqrt(mag[0] * mag[0] + mag[1] * mag[1] + mag[2] * mag[2])
+    state["heading_source"] = NONE
     if settings["use_magnetometer"] == 0 or not FIELD_MIN_UT < norm < FIELD_MAX_UT:
         return
-    error = _azimuth_error(state["dcm"], mag, settings["declination_rad"])
-    turn = from_rotation_vector(0.0, 0.0, error)
-    multiply(turn, state["ned_from_body"], state["ned_from_body"])
-    normalise(state["ned_from_body"])
-    matrix(state["ned_from_body"], state["dcm"])
-    state["field_ut"] = norm
-    state["heading_source"] = 1
-    state["covariance"][2, 2] = HEADING_SIGMA_RAD**2
+    dcm = state["dcm"]
+    north = dcm[0, 0] * mag[0] + dcm[0, 1] * mag[1] + dcm[0, 2] * mag[2]
+    east = dcm[1, 0] * mag[0] + dcm[1, 1] * mag[1] + dcm[1, 2] * mag[2]
+    turn_about_down(state, settings["declination_rad"] - math.atan2(east, north))
+    state["heading_source"] = FIELD
+    state["reference_ut"][0] = math.sqrt(north * north + east * east)
+    state["reference_ut"][1] = dcm[2, 0] * mag[0] + dcm[2, 1] * mag[1] + dcm[2, 2] * mag[2]
+    variance = min(FIRST_SIGMA_RAD**2 + _by_tilt(state), math.pi**2)
+    forget(state["covariance"], ANGLE + 2, variance)
+    state["reference_s"] = state["other_s"] = 0.0
+    _begin_average(state)
+    hard_iron.start(state)
+
+
+@kernel
+def _begin_average(state: Record) -> None:
+    state["mag_s"] = 0.0
+    state["mag_count"] = 0
+    for i in range(3):
+        state["mag_field_ut"][i] = 0.0
+        for j in range(3):
+            state["mag_dcm"][i, j] = 0.0
+
+
+@kernel
+def sigma(state: Record) -> float:
+    """Return the heading's 1-sigma [rad]: no average takes out where the field itself points."""
+    variance = state["covariance"][2, 2]
+    if state["heading_source"] == FIELD:
+        variance = min(variance + AZIMUTH_SIGMA_RAD**2, math.pi**2)
+    return math.sqrt(variance)
 
 
 @kernel
 def correct(settings: Record, state: Record, mag: Floats, dt_s: float) -> None:
-    """Correct the heading by one field reading [3] [uT], NaN where there is none."""
-    norm = _norm(mag)
-    if math.isnan(norm) or settings["use_magnetometer"] == 0:
+    """Gather one field reading [3] [uT], NaN where there is none; once per turn correct."""
+    if settings["use_magnetometer"] == 0:
         return
-    if state["heading_source"] == 0:
-        if state["phase"] == 1:
+    finite = abs(mag[0]) + abs(mag[1]) + abs(mag[2]) < SENSOR_MAX_UT
+    if state["heading_source"] == VELOCITY:
+        return
+    if state["heading_source"] == NONE:
+        if finite and state["turn_s"] == 0.0:
             first_heading(settings, state, mag)
         return
-    if abs(norm - state["field_ut"]) > FIELD_TOLERANCE * state["field_ut"]:
+    state["mag_s"] += dt_s
+    if finite:
+        dcm, sums = state["dcm"], state["mag_dcm"]
+        state["mag_count"] += 1
+        for i in range(3):
+            state["mag_field_ut"][i] += dcm[i, 0] * mag[0] + dcm[i, 1] * mag[1] + dcm[i, 2] * mag[2]
+            for j in range(3):
+                sums[i, j] += dcm[i, j]
+    if state["mag_count"] > 0 and state["mag_s"] >= TURN_S:
+        _take_average(settings, state)
+        _begin_average(state)
+
+
+@kernel
+def _take_average(settings: Record, state: Record) -> None:
+    """Judge the field averaged over the turn and correct the heading by its azimuth."""
+    share, dt_s = 1.0 / state["mag_count"], min(state["mag_s"], CORRELATION_S)
+    field, dcm, iron = state["mag_field_ut"], state["mag_dcm"], state["iron_ut"]
+    hard_iron.gather(state, field, dcm, share, state["mag_s"])
+    north, east, down = field[0] * share, field[1] * share, field[2] * share
+    misfit2 = _misfit2(state, north, east, down)
+    freed_north = north - share * (dcm[0, 0] * iron[0] + dcm[0, 1] * iron[1] + dcm[0, 2] * iron[2])
+    freed_east = east - share * (dcm[1, 0] * iron[0] + dcm[1, 1] * iron[1] + dcm[1, 2] * iron[2])
+    freed_down = down - share * (dcm[2, 0] * iron[0] + dcm[2, 1] * iron[1] + dcm[2, 2] * iron[2])
+    freed2 = _misfit2(state, freed_north, freed_east, freed_down)
+    hidden2 = _hidden2(state, misfit2)
+    if hard_iron.judge(state, misfit2, freed2, dt_s):
+        north, east, down = freed_north, freed_east, freed_down
+        misfit2 = freed2
+        hidden2 = _hidden2(state, freed2) + _iron_across2(state, north, east, share)
+    if not misfit2 < math.inf:
+        # Damaged saved bytes: begin anew.
+        state["heading_source"] = NONE
         return
-    correction = np.zeros(ERROR_STATES)
-    error = _azimuth_error(state["dcm"], mag, settings["declination_rad"])
-    variance = HEADING_SIGMA_RAD**2 * max(1.0, CORRELATION_S / dt_s)
-    correct_state(state["covariance"], correction, state["states"], 2, error, variance)
-    # A magnetic error must not tilt the horizon through the cross terms.
+    variance = AZIMUTH_SIGMA_RAD**2 + hidden2 / state["reference_ut"][0] ** 2 + _by_tilt(state)
+    error = settings["declination_rad"] - math.atan2(east, north)
+    _turn_heading(state, math.atan2(math.sin(error), math.cos(error)), variance, dt_s)
+    _follow_field(state, math.sqrt(north * north + east * east), down, misfit2, dt_s)
+
+
+@kernel
+def _by_tilt(state: Record) -> float:
+    """Variance of the azimuth [rad^2] that the tilt's brings in: a steep field is tilted across."""
+    slope = state["reference_ut"][1] / state["reference_ut"][0]
+    return float(slope * slope * _tilt_variance(state))
+
+
+@kernel
+def _tilt_variance(state: Record) -> float:
+    return float(0.5 * (state["covariance"][0, 0] + state["covariance"][1, 1]))
+
+
+@kernel
+def _misfit2(state: Record, north: float, east: float, down: float) -> float:
+    """Square of what a field misses the reference by, along the meridian and down [uT^2]."""
+    horizontal = math.sqrt(north * north + east * east)
+    reference = state["reference_ut"]
+    return float((horizontal - reference[0]) ** 2 + (down - reference[1]) ** 2)
+
+
+@kernel
+def _limit2(state: Record) -> float:
+    """Square of how far an undisturbed field may miss the reference [uT^2]."""
+    reference = state["reference_ut"]
+    return float(SAME_FIELD**2 * (reference[0] ** 2 + reference[1] ** 2))
+
+
+@kernel
+def _hidden2(state: Record, misfit2: float) -> float:
+    """Variance across the meridian by the misfit [uT^2]; it grows faster beyond the limit."""
+    return 0.5 * misfit2 * (1.0 + misfit2 / _limit2(state))
+
+
+@kernel
+def _iron_across2(state: Record, north: float, east: float, share: float) -> float:
+    """Variance of the hard iron across the field's meridian [uT^2]."""
+    dcm, horizontal = state["mag_dcm"], math.sqrt(north * north + east * east)
+    if horizontal == 0.0:
+        return 0.0
+    c, s = share * north / horizontal, share * east / horizontal
+    return hard_iron.variance_along(
+        state,
+        (
+            c * dcm[1, 0] - s * dcm[0, 0],
+            c * dcm[1, 1] - s * dcm[0, 1],
+            c * dcm[1, 2] - s * dcm[0, 2],
+        ),
+    )
+
+
+@kernel
+def _turn_heading(state: Record, error: float, variance: float, dt_s: float) -> None:
+    """Correct by an azimuth error of this variance; an outlier counts less, by its square.
+
+    A magnetic error must not tilt the horizon, so the tilt is considered (Schmidt 1966): neither
+    it nor its covariance is changed.
+    """
+    p, correction = state["covariance"], np.zeros(ERROR_STATES)
+    outlier = error * error / (OUTLIER_SIGMA**2 * (p[2, 2] + variance))
+    variance *= max(1.0, CORRELATION_S / dt_s) * max(1.0, outlier)
+    north2, both, east2 = p[0, 0], p[0, 1], p[1, 1]
+    correct_state(p, correction, state["states"], ANGLE + 2, error, variance)
+    p[0, 0], p[0, 1], p[1, 0], p[1, 1] = north2, both, both, east2
     correction[0] = correction[1] = 0.0
     apply_correction(state, correction)
-    matrix(state["ned_from_body"], state["dcm"])
+
+
+@kernel
+def _follow_field(
+    state: Record, horizontal: float, down: float, misfit2: float, dt_s: float
+) -> None:
+    """Let the reference follow a field like itself, or one that stays the same in turns."""
+    reference, other = state["reference_ut"], state["other_ut"]
+    limit2 = _limit2(state)
+    if _tilt_variance(state) > SETTLED_TILT_RAD**2:
+        state["reference_s"] = 0.0
+    if misfit2 < limit2 or state["reference_s"] < SETTLE_S:
+        state["reference_s"] = min(state["reference_s"] + dt_s, FOLLOW_S)
+        weight = dt_s / state["reference_s"]
+        reference[0] += weight * (horizontal - reference[0])
+        reference[1] += weight * (down - reference[1])
+        state["other_s"] = 0.0
+        return
+    if not (horizontal - other[0]) ** 2 + (down - other[1]) ** 2 < limit2:
+        state["other_s"] = 0.0
+    if state["other_s"] == 0.0:
+        other[0], other[1] = horizontal, down
+    weight = dt_s / (FOLLOW_S + dt_s)
+    other[0] += weight * (horizontal - other[0])
+    other[1] += weight * (down - other[1])
+    rate = state["smooth_rate_rad_s"]
+    rate2 = rate[0] * rate[0] + rate[1] * rate[1] + rate[2] * rate[2]
+    if rate2 > ACCEPT_RATE_RAD_S**2:
+        state["other_s"] += dt_s
+    plausible = FIELD_MIN_UT**2 < other[0] * other[0] + other[1] * other[1] < FIELD_MAX_UT**2
+    if state["other_s"] > max(state["reference_s"], SETTLE_S) and plausible:
+        reference[0], reference[1] = other[0], other[1]
+        state["other_s"] = 0.0

@@ -12,6 +12,7 @@ import numpy as np
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.fusion.states import (
     ACCEL_BIAS,
+    ANGLE,
     ERROR_STATES,
     GATED,
     GYRO_BIAS,
@@ -26,9 +27,7 @@ from ahrs_service.rotation import from_rotation_vector, matrix, multiply, normal
 
 
 @kernel
-def propagate(
-    p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats
-) -> None:
+def propagate(p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats) -> None:
     """Propagate the covariance `p` [n, n] over an interval, without noise.
 
     `rotation_s` [3, 3] is the integral of C_nb [s], `rate` [3] the mean measured rate [rad/s],
@@ -93,9 +92,7 @@ def _turn_angle_rows(p: Floats, states: int, rotation_s: Floats, rate: Floats) -
 
 
 @kernel
-def _turn_row(
-    x: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats
-) -> None:
+def _turn_row(x: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats) -> None:
     """Apply the transition to one row [n]; velocity first, by the angle before."""
     a, b, c = x[GYRO_BIAS], x[GYRO_BIAS + 1], x[GYRO_BIAS + 2]
     if states > GATED:
@@ -128,6 +125,13 @@ def tilt_from_force(force_ned: Floats, tilt: Floats) -> None:
         scale = 1.0 / STANDARD_GRAVITY_M_S2
     tilt[0] = -scale * east
     tilt[1] = scale * north
+
+
+@kernel
+def tilt_variance(p: Floats) -> float:
+    """Larger principal variance of the tilt [rad^2]; it does not depend on where north is."""
+    half, cross = 0.5 * (p[0, 0] - p[1, 1]), p[0, 1]
+    return p[1, 1] + half + math.sqrt(half * half + cross * cross)
 
 
 @kernel
@@ -177,9 +181,7 @@ def _take(
 
 
 @kernel
-def correct_tilt(
-    state: Record, correction: Floats, h: Floats, axis: int, variance: float
-) -> None:
+def correct_tilt(state: Record, correction: Floats, h: Floats, axis: int, variance: float) -> None:
     """Measure the error angle about north (0) or east (1) by gravity; `h` [n] comes and goes zero.
 
     What the accelerometer's bias adds: -(C b)_E / g about north, (C b)_N / g about east.
@@ -236,13 +238,14 @@ def turn_about_down(state: Record, angle_rad: float) -> None:
     matrix(q, state["dcm"])
     for vector in (state["velocity_ned_m_s"], state["force_ned_m_s2"], state["wind_ned_m_s"]):
         vector[0], vector[1] = c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]
+    for n in range(len(state["history_m_s"])):
+        v = state["history_m_s"][n]
+        v[0], v[1] = c * v[0] - s * v[1], s * v[0] + c * v[1]
     state["turned_rad"] += angle_rad
     p, applied = state["covariance"], state["applied"]
-    for k in (0, VELOCITY, WIND):
-        applied[k], applied[k + 1] = (
-            c * applied[k] - s * applied[k + 1],
-            s * applied[k] + c * applied[k + 1],
-        )
+    for k in (ANGLE, VELOCITY, WIND):
+        x, y = applied[k], applied[k + 1]
+        applied[k], applied[k + 1] = c * x - s * y, s * x + c * y
         for i in range(ERROR_STATES):
             p[k, i], p[k + 1, i] = c * p[k, i] - s * p[k + 1, i], s * p[k, i] + c * p[k + 1, i]
         for i in range(ERROR_STATES):

@@ -51,7 +51,8 @@ def hear_airspeed(state: Record, sample: Record) -> None:
 @kernel
 def airspeed_is_fresh(state: Record) -> bool:
     """Return whether the airspeed is of the last second."""
-    return bool(state["time_ns"] - state["airspeed_time_ns"] < AIRSPEED_VALID_NS)
+    # After a clock that was set back the last one lies ahead.
+    return bool(0 <= state["time_ns"] - state["airspeed_time_ns"] < AIRSPEED_VALID_NS)
 
 
 @kernel

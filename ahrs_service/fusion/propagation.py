@@ -132,16 +132,15 @@ def _move_velocity(
     are_means = settings["samples_are_means"] != 0
     if are_means:
         _follow_arc(state, accel, dt_s, arc)
-    norm2 = 0.0
+    norm2, dcm = 0.0, state["dcm"]
     for i in range(3):
-        row = state["dcm"][i]
-        force = row[0] * accel[0] + row[1] * accel[1] + row[2] * accel[2]
+        force = dcm[i, 0] * accel[0] + dcm[i, 1] * accel[1] + dcm[i, 2] * accel[2]
         norm2 += force * force
         state["force_ned_m_s2"][i] += weight * (force - state["force_ned_m_s2"][i])
         state["turn_force_m_s"][i] += accel[i] * dt_s
         mean = 0.5 * (before[i] + force)
         if are_means:
-            mean = row[0] * arc[0] + row[1] * arc[1] + row[2] * arc[2]
+            mean = dcm[i, 0] * arc[0] + dcm[i, 1] * arc[1] + dcm[i, 2] * arc[2]
         before[i] = force
         state["turn_impulse_m_s"][i] += mean * dt_s
         state["velocity_ned_m_s"][i] += mean * dt_s

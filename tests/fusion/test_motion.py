@@ -1,10 +1,8 @@
 """The velocity filter on flights where the accelerometer alone would lie."""
 
 import numpy as np
-import pytest
 
 from ahrs_service import pipeline
-from ahrs_service.fusion import mekf
 from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, Airframe, empty
 from ahrs_service.rotation import inverse_columns, multiply_columns, rotate_columns
 from ahrs_service.sensor.parameters import Calibration, coefficients
@@ -57,31 +55,3 @@ def test_rest_teaches_the_bias():
     _, estimates = fly("rest", 30.0, "velocity")
     sigma = estimates["gyro_bias_sigma_rad_s"]
     assert sigma[-1].max() < 0.1 * sigma[10].max()
-
-
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_velocity_correction_equals_the_matrix_form(axis):
-    rng = np.random.default_rng(axis)
-    square = rng.normal(size=(9, 9))
-    p = square @ square.T
-    direction, velocity = np.eye(3)[axis], rng.normal(size=3)
-    h = np.concatenate([np.cross(direction, velocity), np.zeros(3), direction])
-    innovation, variance = 0.7, 2.0
-    gain = p @ h / (h @ p @ h + variance)
-    expected = p - np.outer(gain, h @ p)
-    correction = np.zeros(9)
-    mekf.correct_body_velocity(p, correction, direction, velocity, innovation, variance)
-    np.testing.assert_allclose(correction, gain * innovation, rtol=1e-12)
-    np.testing.assert_allclose(p, expected, rtol=1e-10, atol=1e-12)
-
-
-def test_direct_correction_equals_the_matrix_form():
-    rng = np.random.default_rng(7)
-    square = rng.normal(size=(9, 9))
-    p = square @ square.T
-    gain = p[:, 4] / (p[4, 4] + 0.5)
-    expected = p - np.outer(gain, p[4])
-    correction = np.zeros(9)
-    mekf.correct_state(p, correction, 4, 0.3, 0.5)
-    np.testing.assert_allclose(correction, 0.3 * gain, rtol=1e-12)
-    np.testing.assert_allclose(p, expected, rtol=1e-10, atol=1e-12)

@@ -77,7 +77,7 @@ CONES = [(5.0, 0.1), (2.0, 0.2), (1.0, 0.3)]
 @pytest.mark.parametrize(("frequency_hz", "angle_rad"), CONES)
 @pytest.mark.parametrize(
     ("gyro_sample", "samples_a_turn", "limit_deg"),
-    [("instant", 10, 6.0), ("instant", 40, 0.4), ("mean", 10, 0.5), ("mean", 40, 3e-3)],
+    [("instant", 10, 0.2), ("instant", 40, 3e-3), ("mean", 10, 0.08), ("mean", 40, 5e-4)],
 )
 def test_coning_drifts_little(
     swing, frequency_hz, angle_rad, gyro_sample, samples_a_turn, limit_deg
@@ -89,7 +89,7 @@ def test_coning_drifts_little(
     assert error_deg(motion, rate_hz, gyro_sample) < limit_deg * size
 
 
-@pytest.mark.parametrize(("gyro_sample", "order"), [("instant", 1.9), ("mean", 2.8)])
+@pytest.mark.parametrize(("gyro_sample", "order"), [("instant", 2.9), ("mean", 2.9)])
 def test_the_error_falls_with_the_rate_by_its_order(swing, gyro_sample, order):
     motion = tumble(swing, 2.0, 2.0, seed=2)
     errors = [error_deg(motion, rate, gyro_sample) for rate in (50.0, 100.0, 200.0)]
@@ -99,8 +99,8 @@ def test_the_error_falls_with_the_rate_by_its_order(swing, gyro_sample, order):
 @pytest.mark.parametrize(
     ("gyro_sample", "limits_deg"),
     [
-        ("instant", {10.0: 9.0, 20.0: 2.5, 50.0: 0.4, 200.0: 0.03}),
-        ("mean", {10.0: 3.0, 20.0: 0.4, 50.0: 0.02, 200.0: 5e-4}),
+        ("instant", {10.0: 1.5, 20.0: 0.25, 50.0: 0.015, 200.0: 3e-4}),
+        ("mean", {10.0: 0.8, 20.0: 0.07, 50.0: 5e-3, 200.0: 1e-4}),
     ],
 )
 def test_tumbling_at_two_hertz_is_followed_at_low_rate(swing, gyro_sample, limits_deg):
@@ -116,4 +116,4 @@ def test_uneven_steps_and_lost_samples_are_integrated_by_their_stamps(swing, gyr
     t = np.rint(t[rng.random(len(t)) > 0.1] * 1e9) / 1e9
     estimates = estimates_of(motion.samples(t, gyro_sample == "mean"), gyro_sample)
     errors = angles_deg(motion.attitude(t), estimates["ned_from_body"])
-    assert errors.max() < {"instant": 0.6, "mean": 0.1}[gyro_sample]
+    assert errors.max() < {"instant": 0.15, "mean": 0.02}[gyro_sample]

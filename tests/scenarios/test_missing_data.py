@@ -152,7 +152,8 @@ def test_a_temperature_that_stops_coming_is_told_after_ten_seconds(flight, unedi
     assert stale_s[0] == pytest.approx(30.0, abs=0.1)
     assert stale_s[-1] == pytest.approx(40.0, abs=0.1)
     assert outcome.new_flags(original) == {"temperature_stale": len(stale_s)}
-    assert outcome.is_as(original)
+    # Warming widens the bias a little, and that warming is now seen later.
+    assert outcome.turn_from(original, 0.0) < 0.05
     assert (30.0, "degraded; IMU temperature stale or frozen") in [
         (round(t_s, 1), text) for t_s, text in outcome.health()
     ]
