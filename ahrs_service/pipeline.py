@@ -255,6 +255,8 @@ def _turn(
     _judge(settings, state, airframe, dt_s, flags)
     uses_velocity = settings["use_velocity"] != 0
     at_rest = uses_velocity and rest.come_to_rest(state)
+    if at_rest:
+        rest.doubt_bias(state, dt_s)
     if nodes.shape[0] > 0:
         tape.arrive(state, nodes[1])
     if at_rest:
