@@ -6,7 +6,9 @@ import numpy as np
 
 from ahrs_service import pipeline
 from ahrs_service.fusion import smoother, tape
-from ahrs_service.records import Rows
+from ahrs_service.records import ESTIMATE_DTYPE, Rows, empty
+from ahrs_service.sensor.parameters import Calibration, coefficients
+from ahrs_service.settings import Settings
 
 _MIN_NODES: Final = 1024
 
@@ -46,8 +48,26 @@ class Smoother:
         self._nodes = np.append(self._nodes[: self._used], np.zeros(1, tape.NODE_DTYPE))
         self._used += 1
 
-    def smooth(self, estimates: Rows) -> Rows:
-        """Return the smoothed of all `estimates` [N] since the beginning."""
-        out = estimates.copy()
-        smoother.smooth(self._nodes, self._used, estimates, out)
-        return out
+    def smooth(self, estimates: Rows) -> None:
+        """Smooth in place all `estimates` [N] that came since the beginning.
+
+        Attitude, rate, specific force, residual, bias and the sigmas change; what the gates saw
+        and the flags stay. Before the first attitude nothing changes.
+        """
+        if len(estimates) != self._samples:
+            raise ValueError(
+                f"{len(estimates)} estimates cannot be smoothed by the nodes of {self._samples}; "
+                "give all of them, in order"
+            )
+        smoother.smooth(self._nodes, self._used, estimates)
+
+
+def smooth(settings: Settings, calibration: Calibration, samples: Rows) -> tuple[Rows, Rows]:
+    """Return the estimates of `samples` [N], causal and smoothed, each [N] ESTIMATE_DTYPE."""
+    both = Smoother()
+    causal = empty(ESTIMATE_DTYPE, len(samples))
+    parameters, state = pipeline.parameters(settings), pipeline.new_state()
+    both.batch(parameters, coefficients(calibration), state, samples, causal)
+    smoothed = causal.copy()
+    both.smooth(smoothed)
+    return causal, smoothed

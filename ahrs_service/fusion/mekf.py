@@ -51,9 +51,7 @@ def propagate(p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse:
 
 
 @kernel
-def turn_rows(
-    p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats
-) -> None:
+def turn_rows(p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats) -> None:
     """Apply the transition to the rows of `p` [n, n] alone: the covariance of after and before."""
     if states > GATED:
         _turn_velocity_rows(p, states, rotation_s, impulse)

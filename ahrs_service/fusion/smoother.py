@@ -20,12 +20,9 @@ from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.fusion import mekf
 from ahrs_service.fusion.states import (
     ACCEL_BIAS,
-    AIDED,
     ERROR_STATES,
-    GATED,
     GYRO_BIAS,
     GYRO_MATRIX,
-    UNAIDED,
     VELOCITY,
     WIND,
 )
@@ -39,11 +36,8 @@ DEPENDENT: Final = 1e-12
 
 
 @kernel
-def smooth(nodes: Rows, used: int, estimates: Rows, out: Rows) -> None:
-    """Write into `out` [N] the smoothed of `estimates` [N], from the first `used` of `nodes`.
-
-    `out` may be `estimates`; rows before the first node are left as they are.
-    """
+def smooth(nodes: Rows, used: int, estimates: Rows) -> None:
+    """Smooth `estimates` [N] in place by the first `used` of `nodes`, the last of them first."""
     d, ps = np.zeros(ERROR_STATES), np.zeros((ERROR_STATES, ERROR_STATES))
     after, before = np.zeros(ERROR_STATES), np.zeros(ERROR_STATES)
     work = np.zeros((4, ERROR_STATES, ERROR_STATES))
@@ -62,17 +56,17 @@ def smooth(nodes: Rows, used: int, estimates: Rows, out: Rows) -> None:
         for i in range(ERROR_STATES):
             end[i] = ps[i, i]
         _add(d, node["late"], after)
-        _write(estimates[n], out[n], after, yaw, end, field)
+        _write(estimates[n], after, yaw, end, field)
         chained = node["kind"] == CHAINED and nodes[j - 1]["kind"] != NONE
         if chained:
             earlier = nodes[j - 1]
-            _undo(node, d, after, ps, before)
+            _undo(node, after, ps, before)
             yaw += node["turned_rad"]
             for i in range(ERROR_STATES):
                 end[i] = ps[i, i]
             _step_back(node, earlier, before, d, ps, work)
             _add(d, earlier["late"], after)
-            _fill(estimates, out, earlier["sample"], n, after, before, yaw, end, ps, field)
+            _fill(estimates, earlier["sample"], n, after, before, yaw, end, ps, field)
 
 
 @kernel
@@ -111,7 +105,7 @@ def _add(second: Floats, first: Floats, out: Floats) -> None:
 
 
 @kernel
-def _undo(node: Record, d: Floats, after: Floats, ps: Floats, before: Floats) -> None:
+def _undo(node: Record, after: Floats, ps: Floats, before: Floats) -> None:
     """From the corrected node back to the predicted: `before` leads from that to the smoothed.
 
     Where the wind became a state, the velocity before it was that through the air, v - wind; where
@@ -139,14 +133,14 @@ def _undo(node: Record, d: Floats, after: Floats, ps: Floats, before: Floats) ->
 def _turn_back(angle_rad: float, ps: Floats, before: Floats) -> None:
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     for k in (0, VELOCITY, WIND):
-        before[k], before[k + 1] = (
-            c * before[k] + s * before[k + 1],
-            c * before[k + 1] - s * before[k],
-        )
+        x, y = before[k], before[k + 1]
+        before[k], before[k + 1] = c * x + s * y, c * y - s * x
         for i in range(ERROR_STATES):
-            ps[k, i], ps[k + 1, i] = c * ps[k, i] + s * ps[k + 1, i], c * ps[k + 1, i] - s * ps[k, i]
+            x, y = ps[k, i], ps[k + 1, i]
+            ps[k, i], ps[k + 1, i] = c * x + s * y, c * y - s * x
         for i in range(ERROR_STATES):
-            ps[i, k], ps[i, k + 1] = c * ps[i, k] + s * ps[i, k + 1], c * ps[i, k + 1] - s * ps[i, k]
+            x, y = ps[i, k], ps[i, k + 1]
+            ps[i, k], ps[i, k + 1] = c * x + s * y, c * y - s * x
 
 
 @kernel
@@ -241,7 +235,6 @@ def _solve(a: Floats, b: Floats, n: int) -> None:
 @kernel
 def _fill(
     estimates: Rows,
-    out: Rows,
     first: int,
     last: int,
     after: Floats,
@@ -262,33 +255,26 @@ def _fill(
         for i in range(ERROR_STATES):
             delta[i] = after[i] + share * (before[i] - after[i])
             variance[i] = ps[i, i] + share * (end[i] - ps[i, i])
-        _write(estimates[n], out[n], delta, yaw, variance, field)
+        _write(estimates[n], delta, yaw, variance, field)
 
 
 @kernel
-def _write(
-    estimate: Record, out: Record, delta: Floats, yaw: float, variance: Floats, field: float
-) -> None:
-    """Write one smoothed row: `delta` leads from the estimate to it, then a turn about down."""
-    q, rate = np.empty(4), estimate["rate_rad_s"]
-    for i in range(4):
-        q[i] = estimate["ned_from_body"][i]
+def _write(row: Record, delta: Floats, yaw: float, variance: Floats, field: float) -> None:
+    """Smooth one row: `delta` leads from the estimate to the smoothed, then a turn about down."""
+    q, rate = row["ned_from_body"], row["rate_rad_s"]
     multiply(from_rotation_vector(delta[0], delta[1], delta[2]), q, q)
     multiply(from_rotation_vector(0.0, 0.0, yaw), q, q)
     normalise(q)
     w, x, y, z = q[0], q[1], q[2], q[3]
     down = (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z)
     a, b, c = rate[0], rate[1], rate[2]
-    for i in range(4):
-        out["ned_from_body"][i] = q[i]
     for i in range(3):
         m = GYRO_MATRIX + 3 * i
         crossed = delta[m] * a + delta[m + 1] * b + delta[m + 2] * c
-        out["rate_rad_s"][i] = rate[i] - delta[GYRO_BIAS + i] - crossed
-        out["gyro_bias_rad_s"][i] = estimate["gyro_bias_rad_s"][i] + delta[GYRO_BIAS + i]
-        accel = estimate["accel_m_s2"][i] - delta[ACCEL_BIAS + i]
-        out["accel_m_s2"][i] = accel
-        out["residual_m_s2"][i] = accel + STANDARD_GRAVITY_M_S2 * down[i]
+        rate[i] -= delta[GYRO_BIAS + i] + crossed
+        row["gyro_bias_rad_s"][i] += delta[GYRO_BIAS + i]
+        row["accel_m_s2"][i] -= delta[ACCEL_BIAS + i]
+        row["residual_m_s2"][i] = row["accel_m_s2"][i] + STANDARD_GRAVITY_M_S2 * down[i]
         added = field if i == 2 else 0.0
-        out["attitude_sigma_rad"][i] = math.sqrt(max(variance[i], 0.0) + added)
-        out["gyro_bias_sigma_rad_s"][i] = math.sqrt(max(variance[GYRO_BIAS + i], 0.0))
+        row["attitude_sigma_rad"][i] = math.sqrt(max(variance[i], 0.0) + added)
+        row["gyro_bias_sigma_rad_s"][i] = math.sqrt(max(variance[GYRO_BIAS + i], 0.0))
