@@ -97,23 +97,26 @@ class FusionSettings:
     `mode` "velocity" also estimates the velocity, which the class of airframe bounds, so that
     accelerations average out; "gated" believes the accelerometer only while the gates are open.
     `airframe` "auto" goes by HEARTBEAT.type. `gyro_sample` says whether a sample is the rate of one
-    instant or the mean since the sample before. `gyro_scale_error_rts` is what an error of the
-    gyro's matrix adds to the angle, per rad/s of rate [sqrt(s)].
+    instant or the mean since the sample before. Of the gyro: noise and vibration [rad/s/sqrt(Hz)],
+    bias walk [rad/s^2/sqrt(Hz)] and what a change of temperature adds to it [rad/s/sqrt(degC)],
+    1-sigma at power-on and of one reading at rest [rad/s], `gyro_scale_error_rts` what no matrix
+    explains of the angle, per rad/s of rate [sqrt(s)]. `velocity_lag_s` is how late a measured
+    velocity comes, before the filter has learnt it [s].
     """
 
     __pydantic_config__: ClassVar = _STRICT
     mode: Literal["velocity", "gated"] = "velocity"
     airframe: Literal["auto", "fixed_wing", "multirotor", "hand_held", "other"] = "auto"
     gyro_sample: Literal["mean", "instant"] = "instant"
-    gyro_noise_rad_s_rthz: _Positive = 0.005
-    gyro_bias_walk_rad_s2_rthz: _Positive = 5e-5
-    gyro_bias_sigma_rad_s: _Positive = 0.02
-    gyro_scale_error_rts: _NotNegative = 0.005
-    gyro_rest_sigma_rad_s: _Positive = 0.02
-    velocity_lag_s: _NotNegative = 0.2
+    gyro_noise_rad_s_rthz: _Positive = 0.003
+    gyro_bias_walk_rad_s2_rthz: _Positive = 2e-4
     gyro_bias_per_rtdegc_rad_s: _NotNegative = 3e-4
+    gyro_bias_sigma_rad_s: _Positive = 0.02
+    gyro_scale_error_rts: _NotNegative = 0.002
+    gyro_rest_sigma_rad_s: _Positive = 0.02
     use_airspeed: bool = True
     use_ground_velocity: bool = True
+    velocity_lag_s: _NotNegative = 0.2
     alignment_s: _Positive = 1.0
     gap_s: _Positive = 0.5
     magnetometer: bool = True
@@ -122,37 +125,87 @@ class FusionSettings:
 
 @dataclass(frozen=True, slots=True)
 class AirframeSettings:
-    """How a class of vehicle can move: its velocity through the air, along body x, y, z.
+    """How a class of vehicle moves through the air, along body x, y, z, and shakes its sensors.
 
     `forward_speed_m_s` the usual speed along x [m/s]; per axis the 1-sigma about it (about 0 for y
-    and z) [m/s], and how long a deviation lasts [s]. `accel_noise_m_s2` is what accelerates the
-    vehicle while the gates are open [m/s^2], `velocity_noise_m_s_rts` what noise and
-    vibration of the accelerometer add to the velocity [m/s per sqrt(s)], `accel_scale_error` what
-    its scale does, as a share of the force beyond 1 g.
+    and z) [m/s], and how long a deviation lasts [s]; `drag_s` T of v = -T (f - f0) where the air's
+    resistance shows in the force, 0 where it does not [s]; the same for the speed up and down.
+    `accel_noise_m_s2` is what accelerates the vehicle while the gates are open [m/s^2],
+    `velocity_noise_m_s_rts` what noise and vibration of the accelerometer add to the velocity [m/s
+    per sqrt(s)], `accel_scale_error` what its scale does, as a share of the force beyond 1 g.
+    `accel_bias_sigma_m_s2` [m/s^2] and `gyro_matrix_sigma` [1] are what calibration left.
     """
 
     __pydantic_config__: ClassVar = _STRICT
     forward_speed_m_s: _NotNegative
     velocity_sigma_m_s: tuple[_Positive, _Positive, _Positive]
     velocity_correlation_s: tuple[_Positive, _Positive, _Positive]
-    accel_noise_m_s2: _Positive = 0.7
-    velocity_noise_m_s_rts: _Positive = 0.7
-    accel_scale_error: _NotNegative = 0.1
-    accel_bias_sigma_m_s2: _NotNegative = 0.0
-    gyro_matrix_sigma: _NotNegative = 0.0
-    drag_s: tuple[_NotNegative, _NotNegative, _NotNegative] = (0.0, 0.0, 0.0)
-    climb_sigma_m_s: _Positive = 1e3
-    climb_correlation_s: _Positive = 5.0
+    drag_s: tuple[_NotNegative, _NotNegative, _NotNegative]
+    climb_sigma_m_s: _Positive
+    climb_correlation_s: _Positive
+    accel_noise_m_s2: _Positive
+    velocity_noise_m_s_rts: _Positive
+    accel_scale_error: _NotNegative
+    accel_bias_sigma_m_s2: _NotNegative
+    gyro_matrix_sigma: _NotNegative
 
 
-FIXED_WING = AirframeSettings(10.0, (10.0, 1.5, 1.5), (60.0, 2.0, 2.0), 1.0)
-"""Small fixed wings fly at 8 to 25 m/s, with the nose in the flow to about 5 deg."""
-MULTIROTOR = AirframeSettings(0.0, (3.0, 3.0, 1.5), (5.0, 5.0, 5.0))
-"""Hover and slow flight; leaning into the wind the air speed is along x and y."""
-HAND_HELD = AirframeSettings(0.0, (1.0, 1.0, 1.0), (0.5, 0.5, 0.5), 0.5, 0.3, 0.02)
-"""A hand moves to and fro within an arm's length, at 1 to 2 m/s, and shakes little."""
-OTHER = AirframeSettings(0.0, (8.0, 8.0, 3.0), (10.0, 10.0, 10.0))
-"""Anything small: rovers, boats."""
+FIXED_WING = AirframeSettings(
+    forward_speed_m_s=12.0,
+    velocity_sigma_m_s=(6.0, 1.5, 0.75),
+    velocity_correlation_s=(60.0, 2.0, 2.0),
+    drag_s=(0.0, 1.5, 0.2),
+    climb_sigma_m_s=3.0,
+    climb_correlation_s=5.0,
+    accel_noise_m_s2=1.5,
+    velocity_noise_m_s_rts=0.2,
+    accel_scale_error=0.1,
+    accel_bias_sigma_m_s2=0.02,
+    gyro_matrix_sigma=0.005,
+)
+"""Small fixed wings; configs/airframes/ says for each class where its numbers come from."""
+MULTIROTOR = AirframeSettings(
+    forward_speed_m_s=0.0,
+    velocity_sigma_m_s=(3.0, 3.0, 3.0),
+    velocity_correlation_s=(1.0, 1.0, 1.0),
+    drag_s=(4.0, 4.0, 0.0),
+    climb_sigma_m_s=3.0,
+    climb_correlation_s=5.0,
+    accel_noise_m_s2=0.7,
+    velocity_noise_m_s_rts=0.35,
+    accel_scale_error=0.1,
+    accel_bias_sigma_m_s2=0.1,
+    gyro_matrix_sigma=0.005,
+)
+"""Rotors without wings."""
+HAND_HELD = AirframeSettings(
+    forward_speed_m_s=0.0,
+    velocity_sigma_m_s=(1.0, 1.0, 1.0),
+    velocity_correlation_s=(0.5, 0.5, 0.5),
+    drag_s=(0.0, 0.0, 0.0),
+    climb_sigma_m_s=1.0,
+    climb_correlation_s=1.0,
+    accel_noise_m_s2=0.5,
+    velocity_noise_m_s_rts=0.1,
+    accel_scale_error=0.005,
+    accel_bias_sigma_m_s2=0.0,
+    gyro_matrix_sigma=0.004,
+)
+"""Turned and moved about by hand."""
+OTHER = AirframeSettings(
+    forward_speed_m_s=0.0,
+    velocity_sigma_m_s=(8.0, 8.0, 3.0),
+    velocity_correlation_s=(10.0, 10.0, 10.0),
+    drag_s=(0.0, 0.0, 0.0),
+    climb_sigma_m_s=3.0,
+    climb_correlation_s=5.0,
+    accel_noise_m_s2=0.7,
+    velocity_noise_m_s_rts=0.5,
+    accel_scale_error=0.1,
+    accel_bias_sigma_m_s2=0.05,
+    gyro_matrix_sigma=0.005,
+)
+"""Anything small that nothing is known of: rovers, boats."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ import math
 from typing import Final
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.fusion import aiding
 from ahrs_service.fusion.mekf import correct, correct_state
 from ahrs_service.fusion.states import ACCEL_BIAS, AIDED, VELOCITY, WIND
 from ahrs_service.kernel import kernel
@@ -30,6 +31,8 @@ MOTION_FIELDS: Final = [
 
 DRAG_SHARE: Final = 0.3
 """By how much T may be wrong: size and loading differ within a class."""
+TRIM_CORRELATION_S: Final = 60.0
+"""What the bounds are wrong by, trim and mounting, stays: beside a measured velocity it counts [s]."""
 AIRSPEED_SIGMA_M_S: Final = 2.0
 """Position error of a pitot tube, scale included, on a small UAV [m/s]."""
 AIRSPEED_CORRELATION_S: Final = 1.0
@@ -70,6 +73,7 @@ def bound_velocity(
     `h` [n] comes and goes zero. With axis a of the body in earth axes, v_body = a . (v - wind), so
     h = (a x (v - wind), a, -a) for the errors of angle, velocity and wind.
     """
+    measured = state["states"] == AIDED and aiding.is_fresh(state)
     for i in range(3):
         expected = settings["forward_speed_m_s"][airframe] if i == 0 else 0.0
         sigma = settings["velocity_sigma_m_s"][airframe, i]
@@ -84,9 +88,13 @@ def bound_velocity(
             expected += by_drag
             sigma = math.sqrt(sigma * sigma + (DRAG_SHARE * by_drag) ** 2)
             h[ACCEL_BIAS + i] = -drag_s
+        if measured:
+            correlation_s = max(correlation_s, TRIM_CORRELATION_S)
         variance = sigma * sigma * max(1.0, correlation_s / dt_s)
         _correct_along(state, correction, h, i, expected, variance)
         h[ACCEL_BIAS + i] = 0.0
+    if measured:
+        return
     sigma = settings["climb_sigma_m_s"][airframe]
     variance = sigma * sigma * max(1.0, settings["climb_correlation_s"][airframe] / dt_s)
     climbed = state["velocity_ned_m_s"][2]
