@@ -17,6 +17,7 @@ from ahrs_service.fusion import (
     aiding,
     alignment,
     gating,
+    gravity,
     heading,
     mekf,
     motion,
@@ -27,15 +28,12 @@ from ahrs_service.fusion import (
 )
 from ahrs_service.fusion.states import ERROR_STATES
 from ahrs_service.kernel import kernel
-from ahrs_service.records import Airframe, Flag, Floats, Gate, Phase, Record, Rows
-from ahrs_service.rotation import matrix
+from ahrs_service.records import Airframe, Flag, Floats, Phase, Record, Rows
 from ahrs_service.sensor.compensation import compensate
 from ahrs_service.settings import Settings
 
 _ALIGNING = int(Phase.ALIGNING)
 _RUNNING = int(Phase.RUNNING)
-_STALE = int(Gate.STALE)
-_SATURATION = int(Gate.SATURATION)
 _GAP = int(Flag.GAP)
 _NOT_FINITE = int(Flag.NOT_FINITE)
 _ACCEL_MISSING = int(Flag.ACCEL_MISSING)
@@ -47,12 +45,6 @@ _JUDGED_AT_ONCE = _SATURATED | _ACCEL_MISSING | _GAP
 
 REALIGN_GAP_S: Final = 5.0
 """After a gap longer than this the attitude before it says little: align anew [s]."""
-ACCEL_CORRELATION_S: Final = 1.0
-"""Manoeuvre accelerations last about this long: closer samples are not independent [s]."""
-LONGEST_AVERAGE_S: Final = 0.5
-"""However long a gap was, the sample after it is one sample [s]."""
-DOUBT_RAD_RTS: Final = 0.05
-"""How fast the tilt variance grows while only the innovation speaks against it [rad/sqrt(s)]."""
 IMPOSSIBLE_RATE_RAD_S: Final = 1000.0
 IMPOSSIBLE_FORCE_M_S2: Final = 1e4
 """No sensor measures this; NaN and infinity are not below it either."""
@@ -102,6 +94,7 @@ STATE_DTYPE: Final = np.dtype(
     [
         *timebase.TIME_FIELDS,
         *alignment.ALIGNMENT_FIELDS,
+        *gravity.GRAVITY_FIELDS,
         *heading.HEADING_FIELDS,
         *propagation.PROPAGATION_FIELDS,
         *rest.REST_FIELDS,
@@ -116,17 +109,15 @@ STATE_DTYPE: Final = np.dtype(
         ("accel_bias_m_s2", "f8", 3),
         ("gyro_matrix", "f8", (3, 3)),
         ("states", "i8"),
+        ("attitude_sigma_rad", "f8", 3),
+        ("gyro_bias_sigma_rad_s", "f8", 3),
         ("covariance", "f8", (ERROR_STATES, ERROR_STATES)),
         ("rate_rad_s", "f8", 3),
         ("smooth_rate_rad_s", "f8", 3),
         ("angular_acceleration_rad_s2", "f8", 3),
-        ("force_ned_m_s2", "f8", 3),
-        ("gate_metrics", "f8", 4),
-        ("tilt_innovation_rad", "f8", 2),
         ("spikes", "i8"),
         ("spike_time_ns", "i8"),
         ("phase", "i8"),
-        ("gate", "i8"),
     ]
 )
 """What the estimator remembers, the compensated sample and its matrix `dcm` included.
@@ -203,66 +194,32 @@ def _check_sensors(
 
 
 @kernel
-def _norm(v: Floats) -> float:
-    return math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-
-
-@kernel
-def _judge(settings: Record, state: Record, airframe: int, dt_s: float, flags: int) -> None:
-    """Judge the averaged force by the gates; reasons, metrics and innovation go into the state."""
-    metrics, tilt, p = state["gate_metrics"], state["tilt_innovation_rad"], state["covariance"]
-    metrics[0] = abs(_norm(state["force_ned_m_s2"]) - STANDARD_GRAVITY_M_S2)
-    metrics[1] = _norm(state["smooth_rate_rad_s"])
-    metrics[2] = _norm(state["angular_acceleration_rad_s2"])
-    mekf.tilt_from_force(state["force_ned_m_s2"], tilt)
-    spread2 = mekf.tilt_variance(p) + _gravity_variance(settings, airframe)
-    metrics[3] = math.sqrt((tilt[0] * tilt[0] + tilt[1] * tilt[1]) / spread2)
-    reasons = gating.motion_reasons(
-        metrics,
-        settings["gate_norm_m_s2"],
-        settings["gate_rate_rad_s"],
-        settings["gate_angular_acceleration_rad_s2"],
-    )
-    if flags & _SATURATED:
-        reasons |= _SATURATION
-    if flags & _ACCEL_MISSING:
-        reasons |= _STALE
-    if reasons == 0:
-        reasons = gating.innovation_reason(metrics[3], settings["gate_innovation_sigma"])
-        if reasons != 0 and state["phase"] == _RUNNING:
-            # Steady motion that contradicts the attitude: sooner or later the attitude is wrong.
-            p[0, 0] += DOUBT_RAD_RTS**2 * dt_s
-            p[1, 1] += DOUBT_RAD_RTS**2 * dt_s
-    state["gate"] = reasons
-
-
-@kernel
-def _gravity_variance(settings: Record, airframe: int) -> float:
-    return float((settings["accel_noise_m_s2"][airframe] / STANDARD_GRAVITY_M_S2) ** 2)
-
-
-@kernel
 def _turn(
-    settings: Record, state: Record, sample: Record, airframe: int, flags: int, nodes: Rows
+    settings: Record,
+    state: Record,
+    sample: Record,
+    airframe: int,
+    flags: int,
+    nodes: Rows | None,
 ) -> None:
     """Propagate the covariance, then correct by all that is known of the vehicle's motion."""
-    if nodes.shape[0] > 0:
+    if nodes is not None:
         tape.leave(state, nodes[0])
     propagation.grow(settings, state, sample["temperature_degc"])
     dt_s = state["turn_s"]
     work = np.zeros((2, ERROR_STATES))
     correction, h = work[0], work[1]
-    _judge(settings, state, airframe, dt_s, flags)
+    gravity.judge(settings, state, airframe, dt_s, flags)
     uses_velocity = settings["use_velocity"] != 0
     at_rest = uses_velocity and rest.come_to_rest(state)
     if at_rest:
         rest.doubt_bias(state, dt_s)
-    if nodes.shape[0] > 0:
+    if nodes is not None:
         tape.arrive(state, nodes[1])
     if at_rest:
         rest.hold(state, correction, h, dt_s, settings["gyro_rest_sigma_rad_s"])
     else:
-        _correct_by_gravity(settings, state, airframe, correction, h, flags)
+        gravity.correct(settings, state, airframe, correction, h, flags)
         if uses_velocity:
             motion.bound_velocity(settings, state, airframe, correction, h, dt_s)
     if uses_velocity and settings["use_ground_velocity"] != 0:
@@ -271,22 +228,17 @@ def _turn(
         aiding.shift_history(state, correction)
     propagation.begin_turn(state)
     mekf.apply_correction(state, correction)
+    _summarise(state)
 
 
 @kernel
-def _correct_by_gravity(
-    settings: Record, state: Record, airframe: int, correction: Floats, h: Floats, flags: int
-) -> None:
-    """Take the averaged force for the vertical while the gates are open, or while aligning."""
-    aligning = state["phase"] == _ALIGNING and flags & (_SATURATED | _ACCEL_MISSING) == 0
-    if state["gate"] != 0 and not aligning:
-        return
-    variance = _gravity_variance(settings, airframe)
-    if aligning:
-        variance += (state["gate_metrics"][0] / STANDARD_GRAVITY_M_S2) ** 2
-    variance *= ACCEL_CORRELATION_S / min(state["turn_s"], LONGEST_AVERAGE_S)
-    for axis in range(2):
-        mekf.correct_tilt(state, correction, h, axis, variance)
+def _summarise(state: Record) -> None:
+    """Keep the sigmas of attitude and bias, which move only when a turn ends."""
+    p = state["covariance"]
+    for i in range(3):
+        state["attitude_sigma_rad"][i] = math.sqrt(p[i, i])
+        state["gyro_bias_sigma_rad_s"][i] = math.sqrt(p[3 + i, 3 + i])
+    state["attitude_sigma_rad"][2] = heading.sigma(state)
 
 
 @kernel
@@ -311,10 +263,9 @@ def _write_estimate(state: Record, sample: Record, accel: Floats, flags: int, ou
         out["rate_rad_s"][i] = state["rate_rad_s"][i]
         out["accel_m_s2"][i] = accel[i]
         out["gyro_bias_rad_s"][i] = state["gyro_bias_rad_s"][i]
-        out["attitude_sigma_rad"][i] = math.sqrt(state["covariance"][i, i])
-        out["gyro_bias_sigma_rad_s"][i] = math.sqrt(state["covariance"][3 + i, 3 + i])
+        out["attitude_sigma_rad"][i] = state["attitude_sigma_rad"][i]
+        out["gyro_bias_sigma_rad_s"][i] = state["gyro_bias_sigma_rad_s"][i]
         out["residual_m_s2"][i] = accel[i] + STANDARD_GRAVITY_M_S2 * state["dcm"][2, i]
-    out["attitude_sigma_rad"][2] = heading.sigma(state)
     out["temperature_degc"] = sample["temperature_degc"]
     out["gate"] = state["gate"]
     out["flags"] = flags
@@ -342,6 +293,7 @@ def _begin(settings: Record, state: Record, airframe: int) -> None:
     """Begin to align."""
     alignment.start(settings, state, airframe)
     propagation.begin_turn(state)
+    _summarise(state)
     state["phase"] = _ALIGNING
 
 
@@ -353,7 +305,12 @@ def _airframe(settings: Record, sample: Record) -> int:
 
 @kernel
 def _step(
-    settings: Record, coefficients: Rows, state: Record, sample: Record, out: Record, nodes: Rows
+    settings: Record,
+    coefficients: Rows,
+    state: Record,
+    sample: Record,
+    out: Record,
+    nodes: Rows | None,
 ) -> None:
     gyro, accel = state["gyro_rad_s"], state["accel_m_s2"]
     flags = sample["flags"] | compensate(
@@ -387,7 +344,7 @@ def _move(
     accel: Floats,
     dt_s: float,
     flags: int,
-    nodes: Rows,
+    nodes: Rows | None,
 ) -> None:
     """Take one good sample: integrate, and at the end of a turn correct."""
     motion.hear_airspeed(state, sample)
@@ -397,6 +354,7 @@ def _move(
         if flags & _ACCEL_MISSING == 0:
             alignment.first_attitude(state, gyro, accel)
             heading.first_heading(settings, state, sample["mag_ut"])
+            _summarise(state)
         return
     if dt_s <= 0.0:
         return
@@ -407,7 +365,7 @@ def _move(
     if flags & _GAP != 0:
         state["rest_s"] = 0.0
         aiding.break_off(state)
-    elif flags & _ACCEL_MISSING == 0:
+    elif flags & _ACCEL_MISSING == 0 and settings["use_velocity"] != 0:
         rest.follow(state, gyro, accel, dt_s, settings["gyro_rest_sigma_rad_s"])
     if state["turn_s"] >= propagation.TURN_S or flags & _JUDGED_AT_ONCE != 0:
         _turn(settings, state, sample, airframe, flags, nodes)
@@ -419,13 +377,13 @@ def _move(
         state, gyro, accel, settings["alignment_s"]
     ):
         state["phase"] = _RUNNING
+        _summarise(state)
 
 
 @kernel
 def step(parameters: Rows, coefficients: Rows, state: Rows, sample: Rows, estimate: Rows) -> None:
     """Take one sample [1], move `state` [1] on and write the estimate [1]."""
-    nodes = np.empty(0, tape.NODE_DTYPE)
-    _step(parameters[0], coefficients, state[0], sample[0], estimate[0], nodes)
+    _step(parameters[0], coefficients, state[0], sample[0], estimate[0], None)
 
 
 @kernel
@@ -433,9 +391,8 @@ def batch(
     parameters: Rows, coefficients: Rows, state: Rows, samples: Rows, estimates: Rows
 ) -> None:
     """Take `samples` [N] one after the other and write `estimates` [N]: the same as N steps."""
-    nodes = np.empty(0, tape.NODE_DTYPE)
     for n in range(samples.shape[0]):
-        _step(parameters[0], coefficients, state[0], samples[n], estimates[n], nodes)
+        _step(parameters[0], coefficients, state[0], samples[n], estimates[n], None)
 
 
 @kernel

@@ -29,11 +29,12 @@ def multiply(p: Floats | Quaternion, q: Floats | Quaternion, out: Floats) -> Non
 
 @kernel
 def from_rotation_vector(x: float, y: float, z: float) -> Quaternion:
-    """Quaternion of the rotation vector (x, y, z) [rad]; exact, series below 1e-4 rad."""
+    """Quaternion of the rotation vector (x, y, z) [rad]; below 0.1 rad by series, as exact."""
     angle2 = x * x + y * y + z * z
-    if angle2 < 1e-8:
-        w = 1.0 - angle2 / 8.0
-        scale = 0.5 - angle2 / 48.0
+    if angle2 < 0.01:
+        # The first terms left out are angle^8 / 1e7 and angle^8 / 2e8.
+        w = 1.0 - angle2 * (1.0 / 8.0 - angle2 * (1.0 / 384.0 - angle2 / 46080.0))
+        scale = 0.5 - angle2 * (1.0 / 48.0 - angle2 * (1.0 / 3840.0 - angle2 / 645120.0))
     else:
         angle = math.sqrt(angle2)
         w = math.cos(0.5 * angle)

@@ -32,10 +32,10 @@ MOTION_FIELDS: Final = [
 DRAG_SHARE: Final = 0.3
 """By how much T may be wrong: size and loading differ within a class."""
 TRIM_CORRELATION_S: Final = 60.0
-"""What the bounds are wrong by, trim and mounting, stays: beside a measured velocity it counts [s]."""
+"""What the bounds are wrong by, trim and mounting, stays; beside a measured velocity it shows."""
 AIRSPEED_SIGMA_M_S: Final = 2.0
-"""Position error of a pitot tube, scale included, on a small UAV [m/s]."""
-AIRSPEED_CORRELATION_S: Final = 1.0
+AIRSPEED_CORRELATION_S: Final = 20.0
+"""Position and scale error of a pitot tube on a small UAV, which stay over a manoeuvre."""
 AIRSPEED_VALID_NS: Final = 1_000_000_000
 AIRSPEED_MIN_M_S: Final = 3.0
 """A pitot tube shows nothing below this [m/s]."""

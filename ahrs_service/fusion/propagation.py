@@ -36,6 +36,7 @@ PROPAGATION_FIELDS: Final = [
     ("rate_earlier_rad_s", "f8", 3),
     ("accel_before_m_s2", "f8", 3),
     ("force_before_ned_m_s2", "f8", 3),
+    ("force_now_ned_m_s2", "f8", 3),
     ("arc_force_m_s2", "f8", 3),
     ("interval_before_s", "f8"),
     ("applied", "f8", ERROR_STATES),
@@ -105,7 +106,9 @@ def move(
     if flags & (_GAP | _ACCEL_MISSING):
         state["turn_velocity_variance"] += (GAP_FORCE_SIGMA_M_S2 * dt_s) ** 2
     else:
-        _move_velocity(settings, state, airframe, accel, dt_s)
+        norm2 = _average_force(settings, state, accel, dt_s)
+        if settings["use_velocity"] != 0:
+            _move_velocity(settings, state, airframe, accel, dt_s, norm2)
 
 
 @kernel
@@ -119,29 +122,35 @@ def _smooth_rate(settings: Record, state: Record, rate: Floats, dt_s: float) -> 
 
 
 @kernel
-def _move_velocity(
-    settings: Record,
-    state: Record,
-    airframe: int,
-    accel: Floats,
-    dt_s: float,
-) -> None:
-    """Integrate the specific force, and average it in earth axes, where gravity stands still."""
+def _average_force(settings: Record, state: Record, accel: Floats, dt_s: float) -> float:
+    """Average the force in earth axes, where gravity stands still; return its squared norm."""
     weight = dt_s / (settings["smoothing_s"] + dt_s)
-    arc, before = state["arc_force_m_s2"], state["force_before_ned_m_s2"]
+    dcm, average, now = state["dcm"], state["force_ned_m_s2"], state["force_now_ned_m_s2"]
+    norm2 = 0.0
+    for i in range(3):
+        now[i] = dcm[i, 0] * accel[0] + dcm[i, 1] * accel[1] + dcm[i, 2] * accel[2]
+        norm2 += now[i] * now[i]
+        average[i] += weight * (now[i] - average[i])
+    return norm2
+
+
+@kernel
+def _move_velocity(
+    settings: Record, state: Record, airframe: int, accel: Floats, dt_s: float, norm2: float
+) -> None:
+    """Integrate the mean force of the interval: of both its ends, or of two means."""
+    dcm, arc = state["dcm"], state["arc_force_m_s2"]
+    before, now = state["force_before_ned_m_s2"], state["force_now_ned_m_s2"]
     are_means = settings["samples_are_means"] != 0
     if are_means:
         _follow_arc(state, accel, dt_s, arc)
-    norm2, dcm = 0.0, state["dcm"]
     for i in range(3):
-        force = dcm[i, 0] * accel[0] + dcm[i, 1] * accel[1] + dcm[i, 2] * accel[2]
-        norm2 += force * force
-        state["force_ned_m_s2"][i] += weight * (force - state["force_ned_m_s2"][i])
-        state["turn_force_m_s"][i] += accel[i] * dt_s
-        mean = 0.5 * (before[i] + force)
         if are_means:
             mean = dcm[i, 0] * arc[0] + dcm[i, 1] * arc[1] + dcm[i, 2] * arc[2]
-        before[i] = force
+        else:
+            mean = 0.5 * (before[i] + now[i])
+        before[i] = now[i]
+        state["turn_force_m_s"][i] += accel[i] * dt_s
         state["turn_impulse_m_s"][i] += mean * dt_s
         state["velocity_ned_m_s"][i] += mean * dt_s
     state["velocity_ned_m_s"][2] += STANDARD_GRAVITY_M_S2 * dt_s
