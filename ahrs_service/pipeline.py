@@ -304,7 +304,7 @@ def _airframe(settings: Record, sample: Record) -> int:
 
 
 @kernel
-def _step(
+def take(
     settings: Record,
     coefficients: Rows,
     state: Record,
@@ -312,6 +312,7 @@ def _step(
     out: Record,
     nodes: Rows | None,
 ) -> None:
+    """Take one sample; where there are `nodes` [2], the last and the next, note the turn there."""
     gyro, accel = state["gyro_rad_s"], state["accel_m_s2"]
     flags = sample["flags"] | compensate(
         coefficients,
@@ -383,7 +384,7 @@ def _move(
 @kernel
 def step(parameters: Rows, coefficients: Rows, state: Rows, sample: Rows, estimate: Rows) -> None:
     """Take one sample [1], move `state` [1] on and write the estimate [1]."""
-    _step(parameters[0], coefficients, state[0], sample[0], estimate[0], None)
+    take(parameters[0], coefficients, state[0], sample[0], estimate[0], None)
 
 
 @kernel
@@ -392,26 +393,4 @@ def batch(
 ) -> None:
     """Take `samples` [N] one after the other and write `estimates` [N]: the same as N steps."""
     for n in range(samples.shape[0]):
-        _step(parameters[0], coefficients, state[0], samples[n], estimates[n], None)
-
-
-@kernel
-def record(
-    parameters: Rows,
-    coefficients: Rows,
-    state: Rows,
-    samples: Rows,
-    estimates: Rows,
-    nodes: Rows,
-    used: int,
-    first: int,
-) -> int:
-    """Do what `batch` does and write what the smoother needs into `nodes` [>= used + N + 1].
-
-    `first` is the number of the first of `samples`. Return the new `used`, 1 at first.
-    """
-    for n in range(samples.shape[0]):
-        pair = nodes[used - 1 : used + 1]
-        _step(parameters[0], coefficients, state[0], samples[n], estimates[n], pair)
-        used += tape.close(state[0], pair[1], first + n)
-    return used
+        take(parameters[0], coefficients, state[0], samples[n], estimates[n], None)

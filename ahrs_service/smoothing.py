@@ -6,11 +6,34 @@ import numpy as np
 
 from ahrs_service import pipeline
 from ahrs_service.fusion import smoother, tape
+from ahrs_service.kernel import kernel
 from ahrs_service.records import ESTIMATE_DTYPE, Rows, empty
 from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.settings import Settings
 
 _MIN_NODES: Final = 1024
+
+
+@kernel
+def record(
+    parameters: Rows,
+    coefficients: Rows,
+    state: Rows,
+    samples: Rows,
+    estimates: Rows,
+    nodes: Rows,
+    used: int,
+    first: int,
+) -> int:
+    """Do what `pipeline.batch` does and keep its turns in `nodes` [at least used + N + 1].
+
+    `first` is the number of the first of `samples` [N]. Return the new `used`, 1 at first.
+    """
+    for n in range(samples.shape[0]):
+        pair = nodes[used - 1 : used + 1]
+        pipeline.take(parameters[0], coefficients, state[0], samples[n], estimates[n], pair)
+        used += tape.close(state[0], pair[1], first + n)
+    return used
 
 
 class Smoother:
@@ -31,7 +54,7 @@ class Smoother:
             nodes = np.zeros(max(needed, 2 * len(self._nodes)), tape.NODE_DTYPE)
             nodes[: self._used] = self._nodes[: self._used]
             self._nodes = nodes
-        self._used = pipeline.record(
+        self._used = record(
             parameters,
             coefficients,
             state,

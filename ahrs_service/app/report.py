@@ -51,9 +51,11 @@ def summary_table(summaries: Iterable[Summary], width: int) -> Table:
         padding=(0, 1, 0, 0),
         pad_edge=False,
     )
-    columns = _COLUMNS if width >= _WIDE else tuple(one for one in _COLUMNS if one[1])
-    if any(summary.smoothed for summary in summaries):
-        columns += _SMOOTHED
+    smoothed = any(summary.smoothed for summary in summaries)
+    columns = _COLUMNS + _SMOOTHED if smoothed else _COLUMNS
+    if width < _WIDE:
+        left_out = _NOT_WITH_SMOOTHED if smoothed else ()
+        columns = tuple(one for one in columns if one[1] and one[0] not in left_out)
     table.add_column("log", overflow="fold", min_width=16)
     for name, _, _ in columns:
         table.add_column(name.replace(" ", "\n"), justify="right", no_wrap=True)
@@ -152,11 +154,14 @@ def error_table(summary: Summary, found: Comparison, whose: str = "") -> Table:
     if not math.isnan(found.lag_s):
         order = "later" if found.lag_s >= 0.0 else "earlier"
         lag = f", shows motions {abs(1e3 * found.lag_s):.0f} ms {order} than ours"
+    caption = (
+        f"{found.compared} instants; {found.out_of_reach} without attitude of ours close "
+        f"by, {found.steep} beyond 75 deg of pitch. {RULES}"
+    )
     table = Table(
         title=f"{whose}error against {escape(summary.reference)} ({kind}{lag}) in deg",
         title_justify="left",
-        caption=f"{found.compared} instants; {found.out_of_reach} without attitude of ours close "
-        f"by, {found.steep} beyond 75 deg of pitch. {RULES}",
+        caption=None if whose else caption,
         caption_justify="left",
     )
     for name in ("", "instants", "mean", "1-sigma", "rms", "max"):
@@ -205,8 +210,11 @@ _COLUMNS: Final[tuple[tuple[str, bool, Callable[[Summary], str]], ...]] = (
     ("steady roll", True, _error_cell("steady_roll", "sigma")),
     ("steady pitch", True, _error_cell("steady_pitch", "sigma")),
 )
-_SMOOTHED: Final[tuple[tuple[str, bool, Callable[[Summary], str]], ...]] = (
-    ("smoothed roll", True, _error_cell("roll", "sigma", "smoothed_comparison")),
-    ("smoothed pitch", True, _error_cell("pitch", "sigma", "smoothed_comparison")),
-)
 """Heading, whether also shown on a narrow terminal, and the cell's text."""
+_SMOOTHED: Final[tuple[tuple[str, bool, Callable[[Summary], str]], ...]] = (
+    ("smooth roll", True, _error_cell("roll", "sigma", "smoothed_comparison")),
+    ("smooth pitch", True, _error_cell("pitch", "sigma", "smoothed_comparison")),
+)
+"""The same, where the attitude was smoothed,"""
+_NOT_WITH_SMOOTHED: Final = ("gaps", "jumps")
+"""and what makes place for them on a narrow terminal."""
