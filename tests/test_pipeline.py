@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from ahrs_service import pipeline
-from ahrs_service.fusion import states
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2 as G
+from ahrs_service.fusion import states
 from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, Flag, Gate, Phase, empty
 from ahrs_service.rotation import (
     euler_columns,

@@ -6,6 +6,7 @@ axes. P. G. Savage: Strapdown Inertial Navigation Integration Algorithm Design P
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,16 +14,26 @@ import pytest
 from ahrs_service import pipeline
 from ahrs_service.records import ESTIMATE_DTYPE, empty
 from ahrs_service.sensor.parameters import Calibration, coefficients
-from ahrs_service.settings import FusionSettings, GateSettings, Settings
+from ahrs_service.settings import OTHER, FusionSettings, GateSettings, Settings
 
 SECONDS = 12.0
 
 
 def velocity_error_m_s(motion, t, sample):
-    """Error of the velocity at the last of the times [s]; the gate never opens once it moves."""
+    """Error of the velocity at the last of the times [s]; nothing bounds it once it moves."""
+    unbounded = replace(
+        OTHER,
+        velocity_sigma_m_s=(1e6, 1e6, 1e6),
+        velocity_correlation_s=(1e15, 1e15, 1e15),
+        climb_sigma_m_s=1e6,
+        climb_correlation_s=1e15,
+        gyro_matrix_sigma=0.0,
+        accel_bias_sigma_m_s2=0.0,
+    )
     settings = Settings(
         gate=GateSettings(norm_m_s2=1e-9),
-        fusion=FusionSettings(mode="gated", airframe="other", gyro_sample=sample),
+        fusion=FusionSettings(airframe="other", gyro_sample=sample),
+        other=unbounded,
     )
     state, samples = pipeline.new_state(), motion.samples(t, sample == "mean")
     pipeline.batch(

@@ -54,7 +54,7 @@ def test_a_clock_that_jumps_while_samples_keep_coming_keeps_the_attitude(base, u
     assert outcome.when(Flag.CLOCK_JUMP) == pytest.approx([start_s], abs=0.05)
     assert outcome.estimates["phase"].tobytes() == original.estimates["phase"].tobytes()
     assert outcome.is_as(original, 0.0, start_s)
-    assert outcome.turn_from(original, start_s) < 0.1
+    assert outcome.turn_from(original, start_s) < 0.2
     sigma = outcome.estimates["attitude_sigma_rad"]
     # Turns end at other samples now, and so does the moment when rest is found.
     alike = np.isclose(sigma, original.estimates["attitude_sigma_rad"], rtol=0.05)
@@ -86,7 +86,8 @@ def test_a_reboot_with_the_imu_away_is_a_gap_of_the_time_between_receipts(
     assert outcome.t_s[jump - late] == pytest.approx(start_s + away_s, abs=0.05)
     # From the jump on it is as after the same gap under a clock that went on.
     soon_s = outcome.t_s[jump]
-    bound_deg = 0.1 if not late else 1.0 if away_s < REALIGN_GAP_S else 5.0
+    # Late samples cost it 25 ms of motion, and an alignment begins with another force.
+    bound_deg = 0.2 if not late else 4.0 if away_s < REALIGN_GAP_S else 15.0
     assert outcome.tilt_from(unbroken, soon_s, soon_s + 4.0) < bound_deg
     assert np.isfinite(outcome.estimates["ned_from_body"]).all()
 
@@ -100,7 +101,7 @@ def test_one_wild_stamp_costs_two_intervals_and_no_more(base, unedited):
     assert outcome.new_flags(original) == {"clock_jump": 2}
     assert np.diff(np.flatnonzero(outcome.estimates["flags"] & Flag.CLOCK_JUMP)) == [1]
     assert outcome.estimates["phase"].tobytes() == original.estimates["phase"].tobytes()
-    assert outcome.turn_from(original) < 0.1
+    assert outcome.turn_from(original) < 0.2
 
 
 def test_every_frame_twice_changes_nothing(base, unedited):
@@ -175,7 +176,7 @@ def test_two_messages_with_different_clocks_take_turns_without_aligning_anew(fli
     jumped = outcome.with_flag(Flag.CLOCK_JUMP)
     assert (jumped["flags"] & Flag.SOURCE_CHANGED != 0).all()
     assert (outcome.estimates["phase"][outcome.t_s > 5.0] == Phase.RUNNING).all()
-    assert outcome.tilt_from(same_clock, 0.0, 26.0) < 1.0
+    assert outcome.tilt_from(same_clock, 0.0, 26.0) < 1.5
 
 
 @pytest.mark.parametrize("shift_s", [3600.0, -3600.0])
