@@ -99,6 +99,18 @@ def _moves(state: Record) -> bool:
 
 
 @kernel
+def doubt_bias(state: Record, dt_s: float) -> None:
+    """Let the bias be uncertain again where a long rest shows another."""
+    if state["rest_s"] <= LONG_REST_S:
+        return
+    for i in range(3):
+        n = GYRO_BIAS + i
+        rate = state["mean_rate_rad_s"][i] - state["gyro_bias_rad_s"][i]
+        if rate * rate > BIAS_GATE**2 * state["covariance"][n, n]:
+            state["covariance"][n, n] += rate * rate / BIAS_GATE**2 * dt_s
+
+
+@kernel
 def hold(state: Record, correction: Floats, h: Floats, dt_s: float, rate_sigma: float) -> None:
     """Measure velocity 0, the tilt by the force, and the gyro's bias; `h` [n] comes and goes zero.
 
@@ -120,7 +132,5 @@ def hold(state: Record, correction: Floats, h: Floats, dt_s: float, rate_sigma: 
     for i in range(3):
         n = GYRO_BIAS + i
         rate = state["mean_rate_rad_s"][i] - state["gyro_bias_rad_s"][i]
-        if rate * rate > BIAS_GATE**2 * p[n, n] and state["rest_s"] > LONG_REST_S:
-            p[n, n] += rate * rate / BIAS_GATE**2 * dt_s
         if rate * rate < BIAS_GATE**2 * (p[n, n] + BIAS_FLOOR_RAD_S**2):
             mekf.correct_state(p, correction, states, n, rate, variance)
