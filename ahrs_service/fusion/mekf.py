@@ -39,73 +39,100 @@ def propagate(p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse:
     The rows are turned for all columns; of the columns only where row and column change both.
     """
     turn_rows(p, states, rotation_s, rate, impulse)
-    changed = 6 if states > GATED else 3
-    for n in range(changed):
-        row = n if n < 3 else n - 3 + VELOCITY
-        _turn_row(p[row], states, rotation_s, rate, impulse)
-    for n in range(changed):
-        row = n if n < 3 else n - 3 + VELOCITY
-        for j in range(states):
-            if j > row or GYRO_BIAS <= j < VELOCITY:
+    for row in range(3):
+        _turn_row(p, row, states, rotation_s, rate, impulse)
+    if states > GATED:
+        for row in range(VELOCITY, VELOCITY + 3):
+            _turn_row(p, row, states, rotation_s, rate, impulse)
+    for row in range(3):
+        for j in range(row):
+            p[row, j] = p[j, row]
+        for j in range(3, states):
+            p[j, row] = p[row, j]
+    if states > GATED:
+        for row in range(VELOCITY, VELOCITY + 3):
+            for j in range(GYRO_BIAS, VELOCITY):
+                p[j, row] = p[row, j]
+            for j in range(row + 1, states):
                 p[j, row] = p[row, j]
 
 
 @kernel
 def turn_rows(p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats) -> None:
     """Apply the transition to the rows of `p` [n, n] alone: the covariance of after and before."""
+    turned = np.empty((3, ERROR_STATES))
     if states > GATED:
-        _turn_velocity_rows(p, states, rotation_s, impulse)
-    _turn_angle_rows(p, states, rotation_s, rate)
+        _turn_velocity_rows(p, states, rotation_s, impulse, turned)
+    _turn_angle_rows(p, states, rotation_s, rate, turned)
+
+
+# Sums of rows go to `turned` first: only where what is read is not what is written can the compiler
+# take several columns at once.
 
 
 @kernel
-def _turn_velocity_rows(p: Floats, states: int, rotation_s: Floats, impulse: Floats) -> None:
-    a, b, c = impulse[0], impulse[1], impulse[2]
-    for j in range(states):
-        x, y, z = p[0, j], p[1, j], p[2, j]
-        u, v, w = p[ACCEL_BIAS, j], p[ACCEL_BIAS + 1, j], p[ACCEL_BIAS + 2, j]
-        p[VELOCITY, j] += (
-            y * c - z * b - (rotation_s[0, 0] * u + rotation_s[0, 1] * v + rotation_s[0, 2] * w)
-        )
-        p[VELOCITY + 1, j] += (
-            z * a - x * c - (rotation_s[1, 0] * u + rotation_s[1, 1] * v + rotation_s[1, 2] * w)
-        )
-        p[VELOCITY + 2, j] += (
-            x * b - y * a - (rotation_s[2, 0] * u + rotation_s[2, 1] * v + rotation_s[2, 2] * w)
-        )
-
-
-@kernel
-def _turn_angle_rows(p: Floats, states: int, rotation_s: Floats, rate: Floats) -> None:
-    a, b, c = rate[0], rate[1], rate[2]
-    m = GYRO_MATRIX
-    for j in range(states):
-        x, y, z = p[GYRO_BIAS, j], p[GYRO_BIAS + 1, j], p[GYRO_BIAS + 2, j]
-        if states > GATED:
-            x += a * p[m, j] + b * p[m + 1, j] + c * p[m + 2, j]
-            y += a * p[m + 3, j] + b * p[m + 4, j] + c * p[m + 5, j]
-            z += a * p[m + 6, j] + b * p[m + 7, j] + c * p[m + 8, j]
-        for i in range(3):
-            p[i, j] -= rotation_s[i, 0] * x + rotation_s[i, 1] * y + rotation_s[i, 2] * z
-
-
-@kernel
-def _turn_row(x: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats) -> None:
-    """Apply the transition to one row [n]; velocity first, by the angle before."""
-    a, b, c = x[GYRO_BIAS], x[GYRO_BIAS + 1], x[GYRO_BIAS + 2]
-    if states > GATED:
-        x[VELOCITY] += x[1] * impulse[2] - x[2] * impulse[1]
-        x[VELOCITY + 1] += x[2] * impulse[0] - x[0] * impulse[2]
-        x[VELOCITY + 2] += x[0] * impulse[1] - x[1] * impulse[0]
-        for i in range(3):
-            for k in range(3):
-                x[VELOCITY + i] -= rotation_s[i, k] * x[ACCEL_BIAS + k]
-        for k in range(3):
-            a += rate[k] * x[GYRO_MATRIX + k]
-            b += rate[k] * x[GYRO_MATRIX + 3 + k]
-            c += rate[k] * x[GYRO_MATRIX + 6 + k]
+def _turn_velocity_rows(
+    p: Floats, states: int, rotation_s: Floats, impulse: Floats, turned: Floats
+) -> None:
+    v, w = VELOCITY, ACCEL_BIAS
     for i in range(3):
-        x[i] -= rotation_s[i, 0] * a + rotation_s[i, 1] * b + rotation_s[i, 2] * c
+        k, m = (i + 1) % 3, (i + 2) % 3
+        a, b = impulse[m], -impulse[k]
+        d, e, f = rotation_s[i, 0], rotation_s[i, 1], rotation_s[i, 2]
+        for j in range(states):
+            turned[i, j] = (a * p[k, j] + b * p[m, j]) - (
+                d * p[w, j] + e * p[w + 1, j] + f * p[w + 2, j]
+            )
+    for i in range(3):
+        for j in range(states):
+            p[v + i, j] += turned[i, j]
+
+
+@kernel
+def _turn_angle_rows(
+    p: Floats, states: int, rotation_s: Floats, rate: Floats, turned: Floats
+) -> None:
+    a, b, c = rate[0], rate[1], rate[2]
+    for i in range(3):
+        n, m = GYRO_BIAS + i, GYRO_MATRIX + 3 * i
+        if states > GATED:
+            for j in range(states):
+                turned[i, j] = p[n, j] + (a * p[m, j] + b * p[m + 1, j] + c * p[m + 2, j])
+        else:
+            for j in range(states):
+                turned[i, j] = p[n, j]
+    for i in range(3):
+        a, b, c = rotation_s[i, 0], rotation_s[i, 1], rotation_s[i, 2]
+        for j in range(states):
+            p[i, j] -= a * turned[0, j] + b * turned[1, j] + c * turned[2, j]
+
+
+@kernel
+def _turn_row(
+    p: Floats, n: int, states: int, rotation_s: Floats, rate: Floats, impulse: Floats
+) -> None:
+    """Apply the transition to row `n`; velocity first, by the angle before."""
+    x, y, z = p[n, 0], p[n, 1], p[n, 2]
+    a, b, c = p[n, GYRO_BIAS], p[n, GYRO_BIAS + 1], p[n, GYRO_BIAS + 2]
+    if states > GATED:
+        u, v, w = p[n, ACCEL_BIAS], p[n, ACCEL_BIAS + 1], p[n, ACCEL_BIAS + 2]
+        p[n, VELOCITY] += (y * impulse[2] - z * impulse[1]) - (
+            rotation_s[0, 0] * u + rotation_s[0, 1] * v + rotation_s[0, 2] * w
+        )
+        p[n, VELOCITY + 1] += (z * impulse[0] - x * impulse[2]) - (
+            rotation_s[1, 0] * u + rotation_s[1, 1] * v + rotation_s[1, 2] * w
+        )
+        p[n, VELOCITY + 2] += (x * impulse[1] - y * impulse[0]) - (
+            rotation_s[2, 0] * u + rotation_s[2, 1] * v + rotation_s[2, 2] * w
+        )
+        u, v, w = rate[0], rate[1], rate[2]
+        m = GYRO_MATRIX
+        a += u * p[n, m] + v * p[n, m + 1] + w * p[n, m + 2]
+        b += u * p[n, m + 3] + v * p[n, m + 4] + w * p[n, m + 5]
+        c += u * p[n, m + 6] + v * p[n, m + 7] + w * p[n, m + 8]
+    p[n, 0] = x - (rotation_s[0, 0] * a + rotation_s[0, 1] * b + rotation_s[0, 2] * c)
+    p[n, 1] = y - (rotation_s[1, 0] * a + rotation_s[1, 1] * b + rotation_s[1, 2] * c)
+    p[n, 2] = z - (rotation_s[2, 0] * a + rotation_s[2, 1] * b + rotation_s[2, 2] * c)
 
 
 @kernel
@@ -169,13 +196,15 @@ def _take(
     p: Floats, correction: Floats, states: int, ph: Floats, innovation: float, variance: float
 ) -> None:
     """Take one innovation of `variance`, `ph` [n] being P h, into correction and covariance."""
-    scale = 1.0 / variance
+    # Scaled by the root, row i times column j is the product of j times i to the last bit.
+    scale = 1.0 / math.sqrt(variance)
+    for i in range(states):
+        ph[i] *= scale
     for i in range(states):
         x = ph[i]
-        correction[i] += x * scale * innovation
+        correction[i] += x * (scale * innovation)
         for j in range(states):
-            # In this order the product is the same for (i, j) and (j, i).
-            p[i, j] -= (x * ph[j]) * scale
+            p[i, j] -= x * ph[j]
 
 
 @kernel
