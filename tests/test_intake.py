@@ -238,6 +238,17 @@ def test_a_clipped_axis_is_seen_although_it_is_turned():
     assert np.flatnonzero(samples["flags"] & Flag.SATURATED).tolist() == [40, 50]
 
 
+@pytest.mark.parametrize(("sender", "is_ours"), [((1, 1), True), ((2, 1), False), ((1, 9), False)])
+def test_a_trim_before_the_first_heartbeat_holds_if_it_is_the_vehicles(sender, is_ours):
+    stream, early = imu(ImuSource.HIGHRES_IMU, 100, 1), trim(0.1, 0.1)
+    early["system"], early["component"] = sender
+    samples, _ = select(np.concatenate([early, heartbeat(), stream]))
+    assert (samples["accel_m_s2"].tobytes() != stream["accel_m_s2"].tobytes()) == is_ours
+    # A later one of the vehicle's starts from none.
+    samples, _ = select(np.concatenate([early, heartbeat(), trim(np.nan, 0.0), stream]))
+    assert (samples["accel_m_s2"].tobytes() != stream["accel_m_s2"].tobytes()) == is_ours
+
+
 def test_a_trim_that_is_no_number_or_of_another_vehicle_changes_nothing():
     stream, other = imu(ImuSource.HIGHRES_IMU, 100, 1), trim(0.1, 0.1)
     other["system"] = 2
