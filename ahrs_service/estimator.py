@@ -23,6 +23,7 @@ from ahrs_service.records import (
 )
 from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.settings import Settings
+from ahrs_service.smoothing import Smoother
 
 _STATE_MARK: Final = hashlib.sha256(
     repr((intake.STATE_DTYPE.descr, pipeline.STATE_DTYPE.descr)).encode()
@@ -37,10 +38,18 @@ class Estimator:
     """The whole estimator, from readings to estimates.
 
     `digest` is the SHA-256 over the bytes of every estimate so far: equal digests of a live
-    session and of its replay mean equal estimates, bit for bit.
+    session and of its replay mean equal estimates, bit for bit. A `smoother` given listens and
+    can smooth all estimates in the end; it changes none of them before.
     """
 
-    def __init__(self, settings: Settings, calibration: Calibration | None = None) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        calibration: Calibration | None = None,
+        smoother: Smoother | None = None,
+    ) -> None:
+        self._smoother = smoother
+        self._batch = pipeline.batch if smoother is None else smoother.batch
         self._coefficients = coefficients(calibration or Calibration.ideal())
         self._intake_state = intake.new_state()
         self._pipeline_state = pipeline.new_state()
@@ -72,7 +81,7 @@ class Estimator:
         estimates = self._estimates[:count]
         self._count = count
         if count:
-            pipeline.batch(
+            self._batch(
                 self._pipeline_parameters,
                 self._coefficients,
                 self._pipeline_state,
@@ -123,6 +132,8 @@ class Estimator:
                 "start from the beginning of the recording instead"
             )
         self._intake_state, self._pipeline_state = intake_state, pipeline_state
+        if self._smoother is not None:
+            self._smoother.cut()
 
 
 def compile_kernels(settings: Settings) -> None:

@@ -23,6 +23,7 @@ from ahrs_service.fusion import (
     motion,
     propagation,
     rest,
+    tape,
     timebase,
 )
 from ahrs_service.fusion.states import ERROR_STATES
@@ -193,8 +194,17 @@ def _check_sensors(
 
 
 @kernel
-def _turn(settings: Record, state: Record, sample: Record, airframe: int, flags: int) -> None:
+def _turn(
+    settings: Record,
+    state: Record,
+    sample: Record,
+    airframe: int,
+    flags: int,
+    nodes: Rows | None,
+) -> None:
     """Propagate the covariance, then correct by all that is known of the vehicle's motion."""
+    if nodes is not None:
+        tape.leave(state, nodes[0])
     propagation.grow(settings, state, sample["temperature_degc"])
     dt_s = state["turn_s"]
     work = np.zeros((2, ERROR_STATES))
@@ -202,6 +212,10 @@ def _turn(settings: Record, state: Record, sample: Record, airframe: int, flags:
     gravity.judge(settings, state, airframe, dt_s, flags)
     uses_velocity = settings["use_velocity"] != 0
     at_rest = uses_velocity and rest.come_to_rest(state)
+    if at_rest:
+        rest.doubt_bias(state, dt_s)
+    if nodes is not None:
+        tape.arrive(state, nodes[1])
     if at_rest:
         rest.hold(state, correction, h, dt_s, settings["gyro_rest_sigma_rad_s"])
     else:
@@ -290,7 +304,15 @@ def _airframe(settings: Record, sample: Record) -> int:
 
 
 @kernel
-def _step(settings: Record, coefficients: Rows, state: Record, sample: Record, out: Record) -> None:
+def take(
+    settings: Record,
+    coefficients: Rows,
+    state: Record,
+    sample: Record,
+    out: Record,
+    nodes: Rows | None,
+) -> None:
+    """Take one sample; where there are `nodes` [2], the last and the next, note the turn there."""
     gyro, accel = state["gyro_rad_s"], state["accel_m_s2"]
     flags = sample["flags"] | compensate(
         coefficients,
@@ -309,7 +331,7 @@ def _step(settings: Record, coefficients: Rows, state: Record, sample: Record, o
         flags |= timing
         if not timing & timebase.NOT_INTEGRATED:
             flags = _realign_if_lost(settings, state, sample, dt_s, flags)
-            _move(settings, state, sample, gyro, accel, dt_s, flags)
+            _move(settings, state, sample, gyro, accel, dt_s, flags, nodes)
     _write_estimate(state, sample, accel, flags, out)
     _write_gate(state, out)
 
@@ -323,6 +345,7 @@ def _move(
     accel: Floats,
     dt_s: float,
     flags: int,
+    nodes: Rows | None,
 ) -> None:
     """Take one good sample: integrate, and at the end of a turn correct."""
     motion.hear_airspeed(state, sample)
@@ -346,7 +369,7 @@ def _move(
     elif flags & _ACCEL_MISSING == 0 and settings["use_velocity"] != 0:
         rest.follow(state, gyro, accel, dt_s, settings["gyro_rest_sigma_rad_s"])
     if state["turn_s"] >= propagation.TURN_S or flags & _JUDGED_AT_ONCE != 0:
-        _turn(settings, state, sample, airframe, flags)
+        _turn(settings, state, sample, airframe, flags, nodes)
         if not alignment.is_sound(state):
             _begin(settings, state, airframe)
             return
@@ -361,7 +384,7 @@ def _move(
 @kernel
 def step(parameters: Rows, coefficients: Rows, state: Rows, sample: Rows, estimate: Rows) -> None:
     """Take one sample [1], move `state` [1] on and write the estimate [1]."""
-    _step(parameters[0], coefficients, state[0], sample[0], estimate[0])
+    take(parameters[0], coefficients, state[0], sample[0], estimate[0], None)
 
 
 @kernel
@@ -370,4 +393,4 @@ def batch(
 ) -> None:
     """Take `samples` [N] one after the other and write `estimates` [N]: the same as N steps."""
     for n in range(samples.shape[0]):
-        _step(parameters[0], coefficients, state[0], samples[n], estimates[n])
+        take(parameters[0], coefficients, state[0], samples[n], estimates[n], None)

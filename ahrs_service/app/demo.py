@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
     console.print(session_table(daemon))
     result = replay_log(files / "flight.tlog")
     if result.summary.comparison is not None:
-        console.print(error_table(result.summary))
+        console.print(error_table(result.summary, result.summary.comparison))
     return _verdict(console, daemon, autopilot, result, files)
 
 

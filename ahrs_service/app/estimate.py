@@ -7,6 +7,7 @@ m/s, NaN where there is none. Other fields are not looked at.
 OUT holds one row per sample: quat [N, 4] wxyz without the magnetometer, its heading 0 at the
 start; quat9 [N, 4] with it, where there is imu_mag; sigma_deg [N, 3] 1-sigma of quat's error
 about the earth's axes; gate [N] why the accelerometer was not taken for the vertical, 0 if it was.
+With --offline all rows but gate are smoothed: what came later corrects what was before.
 
 --frame frd: sensor axes forward, right, down (level at rest: z = -9.81); quat turns them into
 north, east, down. --frame flu: forward, left, up (level at rest: z = +9.81); quat turns them into
@@ -41,6 +42,7 @@ from ahrs_service.records import (
 from ahrs_service.rotation import multiply_columns
 from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.settings import Settings
+from ahrs_service.smoothing import Smoother
 from links.errors import RecordingError
 
 EXIT_DONE: Final = 0
@@ -109,21 +111,24 @@ class Columns:
         return rows
 
 
-def estimate_columns(columns: Columns, settings: Settings, frame: str) -> dict[str, Any]:
-    """Run the estimator over `columns` [N]; return the fields of OUT."""
+def estimate_columns(
+    columns: Columns, settings: Settings, frame: str, offline: bool = False
+) -> dict[str, Any]:
+    """Run the estimator over `columns` [N], smoothed where `offline`; return the fields of OUT."""
+    run = _run_smoothed if offline else _run
     count = len(columns.time_ns)
     out: dict[str, Any] = {
         "quat": np.empty((count, 4)),
         "sigma_deg": np.empty((count, 3)),
         "gate": np.empty(count, np.uint32),
     }
-    for part, rows in _run(columns, settings, frame, magnetometer=False):
+    for part, rows in run(columns, settings, frame, magnetometer=False):
         out["quat"][part] = _turned(rows["ned_from_body"], frame, earth=_FRD_FROM_FLU)
         out["sigma_deg"][part] = np.degrees(rows["attitude_sigma_rad"])
         out["gate"][part] = rows["gate"]
     if columns.mag_ut is not None and settings.fusion.magnetometer:
         out["quat9"] = np.empty((count, 4))
-        for part, rows in _run(columns, settings, frame, magnetometer=True):
+        for part, rows in run(columns, settings, frame, magnetometer=True):
             out["quat9"][part] = _turned(rows["ned_from_body"], frame, earth=_ENU_FROM_NED)
     return out
 
@@ -143,6 +148,22 @@ def _run(
         rows = estimates[: stop - start]
         pipeline.batch(parameters, ideal, state, samples, rows)
         yield slice(start, stop), rows
+
+
+def _run_smoothed(
+    columns: Columns, settings: Settings, frame: str, magnetometer: bool
+) -> Iterator[tuple[slice, Rows]]:
+    """Run once over all samples and back; yield all estimates in one piece."""
+    count, smoother = len(columns.time_ns), Smoother()
+    estimates = empty(ESTIMATE_DTYPE, count)
+    parameters, state = pipeline.parameters(settings), pipeline.new_state()
+    ideal = coefficients(Calibration.ideal())
+    for start in range(0, count, _CHUNK):
+        stop = min(start + _CHUNK, count)
+        samples = columns.samples(start, stop, frame, magnetometer)
+        smoother.batch(parameters, ideal, state, samples, estimates[start:stop])
+    smoother.smooth(estimates)
+    yield slice(0, count), estimates
 
 
 def _turned(ned_from_body: Floats, frame: str, earth: Floats) -> Floats:
@@ -254,6 +275,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how the vehicle moves (default: other, or as fusion.airframe says)",
     )
     parser.add_argument("--frame", choices=["frd", "flu"], default="frd", help="default: frd")
+    parser.add_argument(
+        "--offline", action="store_true", help="smooth: not causal, for reference-grade attitude"
+    )
     options.add_settings(parser)
 
 
@@ -266,7 +290,7 @@ def run(args: argparse.Namespace) -> int:
     if args.out.exists() and args.source.exists() and args.out.samefile(args.source):
         raise RecordingError(f"{args.out}: is the input itself; give --out another file")
     columns = read_columns(args.source)
-    out = estimate_columns(columns, settings, args.frame)
+    out = estimate_columns(columns, settings, args.frame, args.offline)
     _write(args.out, out)
     Console(stderr=True).print(
         f"{escape(str(args.out))}: {', '.join(out)} of {len(columns.time_ns)} samples",

@@ -10,6 +10,7 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from ahrs_service.app.config_file import to_json
+from ahrs_service.app.summary import Summary
 from ahrs_service.records import ESTIMATE_DTYPE, Rows
 from ahrs_service.rotation import euler_columns
 from ahrs_service.settings import Settings
@@ -22,13 +23,17 @@ _BODY: Final = "xyz"
 _ROWS: Final = 1 << 16
 
 
-def write_parquet(path: Path, estimates: Rows, settings: Settings, digest: str, log: str) -> None:
-    """Write one row per estimate; settings, digest, log and version go into the file's metadata."""
+def write_parquet(path: Path, estimates: Rows, settings: Settings, summary: Summary) -> None:
+    """Write one row per estimate; settings, digest, log and version go into the file's metadata.
+
+    The digest is that of the causal estimates, also where the rows are smoothed.
+    """
     metadata = {
         "ahrs_service.version": version("ahrs-service"),
         "ahrs_service.settings": to_json(settings).decode(),
-        "ahrs_service.estimates_sha256": digest,
-        "ahrs_service.log": log,
+        "ahrs_service.estimates_sha256": summary.digest,
+        "ahrs_service.smoothed": "yes" if summary.smoothed else "no",
+        "ahrs_service.log": summary.log,
     }
     with pyarrow.parquet.ParquetWriter(path, _schema().with_metadata(metadata)) as writer:
         for start in range(0, len(estimates), _ROWS):

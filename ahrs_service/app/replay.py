@@ -8,6 +8,10 @@ the replay is the same to the last bit.
 With one log, each OUT is a file. With several, or where OUT is a folder, OUT is a folder, made if
 need be, and each log's file there is named after the log: OUT/flight.ulg.parquet.
 
+With --smooth what came later corrects what was before: reference-grade attitude after the flight.
+The tables show both, the files hold the smoothed attitude, the digest is that of the estimates
+before, so that it still can be compared.
+
 A recording made by this service carries its settings; they hold unless --config or --set is given.
 """
 
@@ -74,6 +78,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--parquet", type=Path, metavar="OUT", help="write all estimates")
     parser.add_argument("--csv", type=Path, metavar="OUT", help="write all estimates as text")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write all tables' figures")
+    parser.add_argument(
+        "--smooth", action="store_true", help="smooth the attitude, forward and backward in time"
+    )
     options.add_settings(parser)
 
 
@@ -90,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
     for path in logs:
         try:
             with _progress(errors, path.name) as advance:
-                result = replay_log(path, settings, advance)
+                result = replay_log(path, settings, advance, smooth=args.smooth)
                 written = outputs.write(result, advance)
         except RecordingError as error:
             errors.print(f"[bold red]refused:[/] {escape(str(error))}")
@@ -172,7 +179,7 @@ def _write_tlog(path: Path, result: ReplayResult) -> None:
 
 def _write_parquet(path: Path, result: ReplayResult) -> None:
     summary = result.summary
-    write_parquet(path, result.estimates, result.settings, summary.digest, summary.log)
+    write_parquet(path, result.estimates, result.settings, summary)
 
 
 def _write_csv(path: Path, result: ReplayResult) -> None:

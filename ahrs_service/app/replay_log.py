@@ -13,6 +13,7 @@ from ahrs_service.estimator import Estimator, StateError
 from ahrs_service.records import ESTIMATE_DTYPE, Integers, Kind, Rows, empty
 from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.settings import Settings
+from ahrs_service.smoothing import Smoother
 from links.errors import RecordingError
 from links.readings import from_tables
 from links.recording import Recording
@@ -30,7 +31,8 @@ class ReplayResult:
     """A recording and what the estimator made of it.
 
     `estimates` [N] ESTIMATE_DTYPE, `positions` [N] the reading behind each; `system` the vehicle
-    adopted; `settings` those in force at the end.
+    adopted; `settings` those in force at the end. Where smoothing was asked for, `estimates` are
+    the smoothed.
     """
 
     recording: Recording
@@ -46,6 +48,7 @@ def replay_log(
     settings: Settings | None = None,
     advance: Advance | None = None,
     calibration: Calibration | None = None,
+    smooth: bool = False,
 ) -> ReplayResult:
     """Replay one recording; RecordingError says in a sentence why it cannot be.
 
@@ -56,17 +59,25 @@ def replay_log(
     told = advance or _silent
     recording = read_recording(path, lambda share: told("reading", share))
     marks = _marks(recording) if settings is None else []
-    replay = _Replay(recording, settings, marks, calibration)
+    smoother = Smoother() if smooth else None
+    replay = _Replay(recording, settings, marks, calibration, smoother)
     for share in replay.run():
         told("estimating", share)
-    told("comparing", 0.0)
     estimates, positions = replay.columns()
     if not len(estimates):
         raise RecordingError(_no_sample(recording, replay.settings))
+    smoothed = None
+    if smoother is not None:
+        told("smoothing", 0.0)
+        smoothed = estimates.copy()
+        smoother.smooth(smoothed)
+    told("comparing", 0.0)
     summary = summarise(
-        recording, replay.estimator, estimates, replay.settings.intake, replay.origin
+        recording, replay.estimator, estimates, replay.settings.intake, replay.origin, smoothed
     )
     system = int(replay.estimator.intake_state["system"][0])
+    if smoothed is not None:
+        estimates = smoothed
     return ReplayResult(recording, estimates, positions, system, replay.settings, summary)
 
 
@@ -83,10 +94,11 @@ class _Replay:
         settings: Settings | None,
         marks: list[tuple[int, Mark]],
         calibration: Calibration | None,
+        smoother: Smoother | None,
     ) -> None:
         self.settings = settings or Settings()
         self.origin = "the defaults" if settings is None else "as given"
-        self.estimator = Estimator(self.settings, calibration)
+        self.estimator = Estimator(self.settings, calibration, smoother)
         self._recording = recording
         self._marks = marks
         limit = int(np.count_nonzero(recording.readings["kind"] == Kind.IMU))

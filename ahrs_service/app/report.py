@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ahrs_service.app.summary import Summary
-from ahrs_service.comparison import ErrorStatistics, HeadingError
+from ahrs_service.comparison import Comparison, ErrorStatistics, HeadingError
 
 RULES: Final = (
     "errors are ours minus the log's own attitude, at its instants, where our filter runs; Euler "
@@ -31,7 +31,9 @@ def log_table(summary: Summary) -> RenderableType:
         table.add_row(name, escape(text))
     parts: list[RenderableType] = [table]
     if summary.comparison is not None:
-        parts.append(error_table(summary))
+        parts.append(error_table(summary, summary.comparison))
+    if summary.smoothed_comparison is not None:
+        parts.append(error_table(summary, summary.smoothed_comparison, "smoothed: "))
     parts += [Text(f"warning: {warning}", style="yellow") for warning in summary.warnings]
     return Group(*parts)
 
@@ -39,8 +41,9 @@ def log_table(summary: Summary) -> RenderableType:
 def summary_table(summaries: Iterable[Summary], width: int) -> Table:
     """Return one row per log with roll and pitch errors [deg]; more columns where `width` allows.
 
-    Whole flight: 1-sigma and max; steady flight: 1-sigma.
+    Whole flight: 1-sigma and max; steady flight: 1-sigma; smoothed, where it is: 1-sigma.
     """
+    summaries = list(summaries)
     table = Table(
         title="all logs: 1-sigma of roll and pitch errors in deg",
         title_justify="left",
@@ -48,7 +51,11 @@ def summary_table(summaries: Iterable[Summary], width: int) -> Table:
         padding=(0, 1, 0, 0),
         pad_edge=False,
     )
-    columns = _COLUMNS if width >= _WIDE else tuple(one for one in _COLUMNS if one[1])
+    smoothed = any(summary.smoothed for summary in summaries)
+    columns = _COLUMNS + _SMOOTHED if smoothed else _COLUMNS
+    if width < _WIDE:
+        left_out = _NOT_WITH_SMOOTHED if smoothed else ()
+        columns = tuple(one for one in columns if one[1] and one[0] not in left_out)
     table.add_column("log", overflow="fold", min_width=16)
     for name, _, _ in columns:
         table.add_column(name.replace(" ", "\n"), justify="right", no_wrap=True)
@@ -58,11 +65,10 @@ def summary_table(summaries: Iterable[Summary], width: int) -> Table:
     return table
 
 
-def _error_cell(axis: str, figure: str) -> Callable[[Summary], str]:
+def _error_cell(axis: str, figure: str, comparison: str = "comparison") -> Callable[[Summary], str]:
     def cell(summary: Summary) -> str:
-        if summary.comparison is None:
-            return "-"
-        return _degrees(getattr(getattr(summary.comparison, axis), figure))
+        found = getattr(summary, comparison)
+        return "-" if found is None else _degrees(getattr(getattr(found, axis), figure))
 
     return cell
 
@@ -141,20 +147,21 @@ def _heading(summary: Summary) -> str:
     )
 
 
-def error_table(summary: Summary) -> Table:
+def error_table(summary: Summary, found: Comparison, whose: str = "") -> Table:
     """Return the errors against the log's own attitude, whole and steady flight."""
-    found = summary.comparison
-    assert found is not None
     kind = "truth" if summary.reference_is_truth else "the log's own estimate"
     lag = ""
     if not math.isnan(found.lag_s):
         order = "later" if found.lag_s >= 0.0 else "earlier"
         lag = f", shows motions {abs(1e3 * found.lag_s):.0f} ms {order} than ours"
+    caption = (
+        f"{found.compared} instants; {found.out_of_reach} without attitude of ours close "
+        f"by, {found.steep} beyond 75 deg of pitch. {RULES}"
+    )
     table = Table(
-        title=f"error against {escape(summary.reference)} ({kind}{lag}) in deg",
+        title=f"{whose}error against {escape(summary.reference)} ({kind}{lag}) in deg",
         title_justify="left",
-        caption=f"{found.compared} instants; {found.out_of_reach} without attitude of ours close "
-        f"by, {found.steep} beyond 75 deg of pitch. {RULES}",
+        caption=None if whose else caption,
         caption_justify="left",
     )
     for name in ("", "instants", "mean", "1-sigma", "rms", "max"):
@@ -204,3 +211,10 @@ _COLUMNS: Final[tuple[tuple[str, bool, Callable[[Summary], str]], ...]] = (
     ("steady pitch", True, _error_cell("steady_pitch", "sigma")),
 )
 """Heading, whether also shown on a narrow terminal, and the cell's text."""
+_SMOOTHED: Final[tuple[tuple[str, bool, Callable[[Summary], str]], ...]] = (
+    ("smooth roll", True, _error_cell("roll", "sigma", "smoothed_comparison")),
+    ("smooth pitch", True, _error_cell("pitch", "sigma", "smoothed_comparison")),
+)
+"""The same, where the attitude was smoothed,"""
+_NOT_WITH_SMOOTHED: Final = ("gaps", "jumps")
+"""and what makes place for them on a narrow terminal."""

@@ -26,7 +26,8 @@ class Summary:
     """One replay in numbers: SI units, NaN where there is nothing.
 
     `gate_time` shares of time by the gate's state, `gate_reasons` shares of the running time in
-    which each reason held; `flags` samples per finding; `sources` samples per IMU source.
+    which each reason held; `flags` samples per finding; `sources` samples per IMU source;
+    `smoothed` whether the attitude was, and its comparison.
     """
 
     log: str
@@ -53,6 +54,8 @@ class Summary:
     reference_is_truth: bool
     other_references: tuple[str, ...]
     comparison: Comparison | None
+    smoothed: bool
+    smoothed_comparison: Comparison | None
     heading: str
     settings_origin: str
     digest: str
@@ -69,16 +72,20 @@ def summarise(
     estimates: Rows,
     settings: IntakeSettings,
     settings_origin: str,
+    smoothed: Rows | None = None,
 ) -> Summary:
-    """Gather the summary of one replay from its estimates and the estimator after it."""
+    """Gather the summary of one replay from its estimates, before and after they were smoothed."""
     steps = _steps_s(estimates)
     running = estimates["phase"] == Phase.RUNNING
     measured = bool(estimator.state["heading_source"][0])
     references = sorted(recording.references, key=lambda one: not one.is_truth)
     reference = references[0] if references else None
-    comparison = None
-    if reference is not None and len(estimates):
-        comparison = compare(estimates, reference.time_ns, reference.ned_from_body, measured)
+    comparison, smoothed_comparison = (
+        compare(rows, reference.time_ns, reference.ned_from_body, measured)
+        if reference is not None and rows is not None and len(rows)
+        else None
+        for rows in (estimates, smoothed)
+    )
     rate_hz = _rate_hz(estimates)
     degc = estimates["temperature_degc"]
     degc = degc[np.isfinite(degc)]
@@ -107,6 +114,8 @@ def summarise(
         reference_is_truth=reference is not None and reference.is_truth,
         other_references=tuple(one.name for one in references[1:]),
         comparison=comparison,
+        smoothed=smoothed is not None,
+        smoothed_comparison=smoothed_comparison,
         heading="magnetometer" if measured else "free",
         settings_origin=settings_origin,
         digest=estimator.digest.hexdigest(),

@@ -169,7 +169,9 @@ def _take_rest_bias(state: Record) -> None:
         return
     p = state["covariance"]
     for i in range(3):
-        state["gyro_bias_rad_s"][i] = state["gyro_sum_rad_s"][i] / count
+        bias = state["gyro_sum_rad_s"][i] / count
+        state["applied"][GYRO_BIAS + i] += bias - state["gyro_bias_rad_s"][i]
+        state["gyro_bias_rad_s"][i] = bias
         mekf.forget(p, GYRO_BIAS + i, REST_BIAS_SIGMA_RAD_S**2)
 
 

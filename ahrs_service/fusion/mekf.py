@@ -38,9 +38,7 @@ def propagate(p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse:
 
     The rows are turned for all columns; of the columns only where row and column change both.
     """
-    if states > GATED:
-        _turn_velocity_rows(p, states, rotation_s, impulse)
-    _turn_angle_rows(p, states, rotation_s, rate)
+    turn_rows(p, states, rotation_s, rate, impulse)
     changed = 6 if states > GATED else 3
     for n in range(changed):
         row = n if n < 3 else n - 3 + VELOCITY
@@ -50,6 +48,14 @@ def propagate(p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse:
         for j in range(states):
             if j > row or GYRO_BIAS <= j < VELOCITY:
                 p[j, row] = p[row, j]
+
+
+@kernel
+def turn_rows(p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats) -> None:
+    """Apply the transition to the rows of `p` [n, n] alone: the covariance of after and before."""
+    if states > GATED:
+        _turn_velocity_rows(p, states, rotation_s, impulse)
+    _turn_angle_rows(p, states, rotation_s, rate)
 
 
 @kernel
@@ -192,6 +198,8 @@ def correct_tilt(state: Record, correction: Floats, h: Floats, axis: int, varian
 @kernel
 def apply_correction(state: Record, correction: Floats) -> None:
     """Move the correction into the state; the averaged force turns with the attitude."""
+    for i in range(state["states"]):
+        state["applied"][i] += correction[i]
     x, y, z = correction[0], correction[1], correction[2]
     multiply(from_rotation_vector(x, y, z), state["ned_from_body"], state["ned_from_body"])
     normalise(state["ned_from_body"])
@@ -231,8 +239,11 @@ def turn_about_down(state: Record, angle_rad: float) -> None:
     for n in range(len(state["history_m_s"])):
         v = state["history_m_s"][n]
         v[0], v[1] = c * v[0] - s * v[1], s * v[0] + c * v[1]
-    p = state["covariance"]
+    state["turned_rad"] += angle_rad
+    p, applied = state["covariance"], state["applied"]
     for k in (ANGLE, VELOCITY, WIND):
+        x, y = applied[k], applied[k + 1]
+        applied[k], applied[k + 1] = c * x - s * y, s * x + c * y
         for i in range(ERROR_STATES):
             p[k, i], p[k + 1, i] = c * p[k, i] - s * p[k + 1, i], s * p[k, i] + c * p[k + 1, i]
         for i in range(ERROR_STATES):

@@ -10,7 +10,15 @@ from typing import Final
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.fusion import mekf, strapdown
 from ahrs_service.fusion.alignment import bound_attitude
-from ahrs_service.fusion.states import ACCEL_BIAS, AIDED, GATED, GYRO_BIAS, VELOCITY, WIND
+from ahrs_service.fusion.states import (
+    ACCEL_BIAS,
+    AIDED,
+    ERROR_STATES,
+    GATED,
+    GYRO_BIAS,
+    VELOCITY,
+    WIND,
+)
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Flag, Floats, Record
 from ahrs_service.rotation import matrix
@@ -31,8 +39,11 @@ PROPAGATION_FIELDS: Final = [
     ("force_now_ned_m_s2", "f8", 3),
     ("arc_force_m_s2", "f8", 3),
     ("interval_before_s", "f8"),
+    ("applied", "f8", ERROR_STATES),
+    ("turned_rad", "f8"),
 ]
-"""Fields of the pipeline's state that this module keeps."""
+"""Fields of the pipeline's state that this module keeps; the last two: what was corrected since
+the covariance last grew, and how far all was turned about down [rad]."""
 
 TURN_S: Final = 0.05
 """Corrections 20 times a second follow what drifts over seconds; shorter turns gain nothing."""
@@ -170,6 +181,9 @@ def grow(settings: Record, state: Record, degc: float) -> None:
     """Propagate the covariance over the turn, `degc` the sensor's temperature, NaN if unknown."""
     p, states, turn_s = state["covariance"], state["states"], state["turn_s"]
     rate = state["turn_gyro_rad"]
+    state["turned_rad"] = 0.0
+    for i in range(ERROR_STATES):
+        state["applied"][i] = 0.0
     for i in range(3):
         rate[i] /= turn_s
     mekf.propagate(p, states, state["turn_rotation_s"], rate, state["turn_impulse_m_s"])

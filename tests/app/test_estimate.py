@@ -282,7 +282,7 @@ def test_wrong_settings_are_wrong_usage(tmp_path, capsys, options, said):
     assert said in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("options", [["--profile", "bird"], ["--frame", "ned"], ["--offline"]])
+@pytest.mark.parametrize("options", [["--profile", "bird"], ["--frame", "ned"], ["--smooth"]])
 def test_unknown_options_are_wrong_usage(tmp_path, capsys, options):
     with pytest.raises(SystemExit) as exit_:
         main(["estimate", "--in", "a.npz", "--out", str(tmp_path / "o.npz"), *options])

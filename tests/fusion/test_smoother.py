@@ -1,0 +1,140 @@
+"""The way back over the tape against the dense solution of the same linear problem."""
+
+import numpy as np
+import pytest
+
+from ahrs_service.fusion import mekf, smoother
+from ahrs_service.fusion.states import AIDED, ERROR_STATES, GATED, GYRO_BIAS, UNAIDED
+from ahrs_service.fusion.tape import CHAINED, NODE_DTYPE, START
+from ahrs_service.records import ESTIMATE_DTYPE, empty
+
+SMALL = 1e-7
+"""Angles so small that turns about different axes add."""
+LOWER = np.tril_indices(ERROR_STATES)
+
+
+class Problem:
+    """x' = F x + noise, y = H x + noise, from a known covariance, over few turns."""
+
+    def __init__(self, states, turns, seed):
+        rng = np.random.default_rng(seed)
+        self.n, self.rng = states, rng
+        self.start = np.diag(rng.uniform(0.5, 2.0, states)) * SMALL**2
+        self.ways, self.noises, self.measured = [], [], []
+        for _ in range(turns):
+            rotation_s, rate, impulse = rng.normal(size=(3, 3)), *rng.normal(size=(2, 3))
+            self.ways.append((rotation_s, rate, impulse))
+            self.noises.append(rng.uniform(0.0, 0.3, states) * SMALL**2)
+            h = rng.normal(size=(2, states))
+            self.measured.append((h, rng.normal(size=2) * SMALL, 0.1 * SMALL**2))
+
+    def transition(self, way):
+        f = np.zeros((ERROR_STATES, ERROR_STATES))
+        np.fill_diagonal(f, 1.0)
+        mekf.turn_rows(f, self.n, *way)
+        return f[: self.n, : self.n]
+
+    def dense(self):
+        """States [turns + 1, n] and covariances given all that was measured, in one piece."""
+        n, turns = self.n, len(self.ways)
+        size = n * (turns + 1)
+        joint = np.zeros((size, size))
+        joint[:n, :n] = self.start
+        for k, (way, noise) in enumerate(zip(self.ways, self.noises, strict=True)):
+            f, now, new = self.transition(way), k * n, (k + 1) * n
+            joint[new : new + n, :new] = f @ joint[now : now + n, :new]
+            joint[:new, new : new + n] = joint[new : new + n, :new].T
+            joint[new : new + n, new : new + n] = f @ joint[now:new, now:new] @ f.T + np.diag(noise)
+        h = np.zeros((2 * turns, size))
+        for k, (one, _, _) in enumerate(self.measured):
+            h[2 * k : 2 * k + 2, (k + 1) * n : (k + 2) * n] = one
+        y = np.concatenate([y for _, y, _ in self.measured])
+        r = np.diag(np.repeat([r for _, _, r in self.measured], 2))
+        gain = np.linalg.solve(h @ joint @ h.T + r, h @ joint).T
+        cov = joint - gain @ h @ joint
+        blocks = [cov[k * n : (k + 1) * n, k * n : (k + 1) * n] for k in range(turns + 1)]
+        return (gain @ y).reshape(turns + 1, n), np.array(blocks)
+
+    def tape(self):
+        """The nodes that a Kalman filter leaves, and its estimates."""
+        turns, n = len(self.ways), self.n
+        nodes, rows = np.zeros(turns + 2, NODE_DTYPE), empty(ESTIMATE_DTYPE, turns + 1)
+        x, p = np.zeros(n), self.start
+        self._leave(nodes[1], rows[0], 0, x, p, np.zeros(n))
+        nodes[1]["kind"] = START
+        for k, (way, noise) in enumerate(zip(self.ways, self.noises, strict=True)):
+            f, node = self.transition(way), nodes[k + 2]
+            x, p = f @ x, f @ p @ f.T + np.diag(noise)
+            node["kind"], node["states_before"] = CHAINED, n
+            node["rotation_s"], node["rate_rad_s"], node["impulse_m_s"] = way
+            node["variance"][:n] = np.diag(p)
+            h, y, r = self.measured[k]
+            gain = np.linalg.solve(h @ p @ h.T + r * np.eye(2), h @ p).T
+            correction = gain @ (y - h @ x)
+            x, p = x + correction, p - gain @ h @ p
+            self._leave(node, rows[k + 1], k + 1, x, p, correction)
+        return nodes, rows
+
+    def _leave(self, node, row, sample, x, p, correction):
+        n = self.n
+        # Part of a correction may come late, as the magnetometer's does between two turns.
+        share = self.rng.uniform()
+        node["sample"], node["states"] = sample, n
+        node["applied"][:n], node["late"][:n] = share * correction, (1.0 - share) * correction
+        whole = np.zeros((ERROR_STATES, ERROR_STATES))
+        whole[:n, :n] = p
+        node["covariance"] = whole[LOWER]
+        held = x - node["late"][:n]
+        row["time_ns"] = sample * 50_000_000
+        row["ned_from_body"] = (1.0, *(0.5 * held[:3]))
+        row["gyro_bias_rad_s"] = held[GYRO_BIAS : GYRO_BIAS + 3]
+        row["rate_rad_s"] = row["accel_m_s2"] = 0.0
+        row["attitude_sigma_rad"] = np.sqrt(np.diag(p)[:3])
+
+
+@pytest.mark.parametrize("states", [GATED, UNAIDED, AIDED])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_way_back_finds_what_one_dense_solution_finds(states, seed):
+    problem = Problem(states, 6, seed)
+    nodes, rows = problem.tape()
+    smoother.smooth(nodes, len(nodes), rows)
+    expected, covariances = problem.dense()
+    angle, bias = 2.0 * rows["ned_from_body"][:, 1:], rows["gyro_bias_rad_s"]
+    np.testing.assert_allclose(angle, expected[:, :3], atol=1e-5 * SMALL)
+    np.testing.assert_allclose(bias, expected[:, 3:6], atol=1e-5 * SMALL)
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
+    np.testing.assert_allclose(rows["attitude_sigma_rad"] ** 2, variances[:, :3], rtol=1e-6)
+    np.testing.assert_allclose(rows["gyro_bias_sigma_rad_s"] ** 2, variances[:, 3:6], rtol=1e-6)
+
+
+def test_states_without_variance_take_no_part():
+    """A filter that is told a perfect gyro matrix finds the same with these states and without."""
+    problem = Problem(UNAIDED, 6, 3)
+    problem.start[12:, 12:] = 0.0
+    for noise in problem.noises:
+        noise[12:] = 0.0
+    nodes, rows = problem.tape()
+    smoother.smooth(nodes, len(nodes), rows)
+    expected, _ = problem.dense()
+    np.testing.assert_allclose(
+        2.0 * rows["ned_from_body"][:, 1:], expected[:, :3], atol=1e-5 * SMALL
+    )
+
+
+def test_between_two_nodes_the_change_is_even():
+    problem = Problem(UNAIDED, 2, 4)
+    nodes, at_nodes = problem.tape()
+    nodes["sample"][1:] *= 5
+    rows = empty(ESTIMATE_DTYPE, 11)
+    for name in ("ned_from_body", "gyro_bias_rad_s", "rate_rad_s", "accel_m_s2"):
+        # Between nodes the filter keeps what it had, here with a transition that keeps it too.
+        rows[name] = np.repeat(at_nodes[name], 5, axis=0)[: len(rows)]
+    rows["attitude_sigma_rad"] = np.repeat(at_nodes["attitude_sigma_rad"], 5, axis=0)[: len(rows)]
+    rows["time_ns"] = np.arange(11) * 10_000_000
+    before = rows.copy()
+    smoother.smooth(nodes, len(nodes), rows)
+    moved = (rows["ned_from_body"] - before["ned_from_body"])[:, 1:]
+    bias = (rows["gyro_bias_rad_s"] - before["gyro_bias_rad_s"])[1:5]
+    np.testing.assert_allclose(np.diff(moved[1:5], n=2, axis=0), 0.0, atol=1e-4 * SMALL)
+    np.testing.assert_allclose(np.diff(bias, n=2, axis=0), 0.0, atol=1e-4 * SMALL)
+    assert np.abs(np.diff(moved[1:5], axis=0)).min() > 1e-3 * SMALL
