@@ -332,6 +332,8 @@ def select(
         reading = readings[n]
         if not _adopt(settings, memory, reading):
             memory["foreign"] += 1
+            if reading["kind"] == _TRIM and memory["system"] == 0:
+                take_trim(memory, reading)
             continue
         kind = reading["kind"]
         if kind == _IMU:

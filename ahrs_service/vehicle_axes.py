@@ -9,7 +9,12 @@ from ahrs_service.kernel import kernel
 from ahrs_service.records import Flag, Floats, Record, Rows
 from ahrs_service.rotation import from_euler, matrix
 
-TRIM_FIELDS: Final = [("trim_rad", "f8", 2), ("vehicle_from_board", "f8", (3, 3))]
+TRIM_FIELDS: Final = [
+    ("trim_rad", "f8", 2),
+    ("vehicle_from_board", "f8", (3, 3)),
+    ("trim_system", "i8"),
+    ("trim_component", "i8"),
+]
 """Fields of the intake's state that this module keeps."""
 RANGE_FIELDS: Final = [("gyro_range_rad_s", "f8"), ("accel_range_m_s2", "f8")]
 """Parameters of the intake that this module reads."""
@@ -25,8 +30,14 @@ def new_trim(state: Rows) -> None:
 
 @kernel
 def take_trim(state: Record, reading: Record) -> None:
-    """Keep how the board stands in the vehicle, from the next sample on."""
-    trim = state["trim_rad"]
+    """Keep how the board stands in the vehicle, from the next sample on.
+
+    Before an autopilot is adopted anybody's is kept, for parameters may come before the heartbeat.
+    """
+    trim, sender = state["trim_rad"], reading["system"]
+    if sender != state["trim_system"] or reading["component"] != state["trim_component"]:
+        state["trim_system"], state["trim_component"] = sender, reading["component"]
+        trim[0] = trim[1] = 0.0
     for i in range(2):
         if math.isfinite(reading["trim_rad"][i]):
             trim[i] = reading["trim_rad"][i]
@@ -42,6 +53,8 @@ def turn_sample(parameters: Record, state: Record, sample: Record) -> int:
     Clipping is seen here, for after the turn no axis stands at the end of its range.
     """
     if state["trim_rad"][0] == 0.0 and state["trim_rad"][1] == 0.0:
+        return 0
+    if state["trim_system"] != state["system"] or state["trim_component"] != state["component"]:
         return 0
     gyro, accel, dcm = sample["gyro_rad_s"], sample["accel_m_s2"], state["vehicle_from_board"]
     flags = 0

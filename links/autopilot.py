@@ -89,6 +89,8 @@ class SimulatedAutopilot:
             "INS_ACCEL_FILTER": 20.0,
             "INS_GYRO_FILTER": 20.0,
             "INS_TCAL1_ENABLE": 0.0,
+            "AHRS_TRIM_X": 0.0,
+            "AHRS_TRIM_Y": 0.0,
         }
         for name, interval_us in self._default_us.items():
             self._set_interval(name, interval_us, 0)

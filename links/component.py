@@ -17,6 +17,7 @@ from links.neighbours import Neighbours, Sender, Traffic
 from links.parameters import ParameterServer
 from links.status_texts import StatusTexts
 from links.timesync import TimeSync
+from links.trim_request import TrimRequest
 
 HEARTBEAT_S: Final = 1.0
 VEHICLE_LOST_S: Final = 5.0
@@ -54,6 +55,8 @@ class Component:
         self._publisher = Publisher(settings.publish)
         self._events: deque[tuple[str, str]] = deque(maxlen=_EVENTS)
         self._texts = StatusTexts()
+        self._trim = TrimRequest()
+        self._autopilot = _INVALID
         self._state = "boot"
         self._next_heartbeat_s = float("-inf")
         self._heard_s = float("-inf")
@@ -73,6 +76,7 @@ class Component:
             int(dialect.MAVLINK_MSG_ID_PARAM_REQUEST_LIST): self._on_parameter,
             int(dialect.MAVLINK_MSG_ID_PARAM_REQUEST_READ): self._on_parameter,
             int(dialect.MAVLINK_MSG_ID_PARAM_SET): self._on_parameter,
+            int(dialect.MAVLINK_MSG_ID_PARAM_VALUE): self._on_parameter_value,
         }
 
     @property
@@ -117,9 +121,13 @@ class Component:
     def _on_heartbeat(self, message: Any, sender: Sender, now_s: float) -> list[Any]:
         if self._neighbours.heartbeat(message, sender):
             self._heard_s = now_s
+            if self._autopilot == _INVALID:
+                self._autopilot = message.autopilot
+                self._trim.begin(self._autopilot)
             if self._lost:
                 self._lost = False
                 self._tell("info", "vehicle heard again; asking for its messages anew")
+                self._trim.begin(self._autopilot)
         return []
 
     def _on_system_time(self, message: Any, sender: Sender, now_s: float) -> list[Any]:
@@ -151,6 +159,7 @@ class Component:
         self._restarted_s = now_s
         self._tell("warning", "the autopilot restarted; asking for its messages anew")
         self.intervals.forget()
+        self._trim.begin(self._autopilot)
 
     def _on_ack(self, message: Any, sender: Sender, now_s: float) -> list[Any]:
         target = (message.target_system, message.target_component)
@@ -191,6 +200,12 @@ class Component:
                 self._texts.remark(refusal, now_s)
         return []
 
+    def _on_parameter_value(self, message: Any, sender: Sender, now_s: float) -> list[Any]:
+        del now_s
+        if sender == self.vehicle:
+            self._trim.heard(message)
+        return []
+
     # -- out ----------------------------------------------------------------------------------
 
     def publish(self, estimate: Record) -> list[Any]:
@@ -223,6 +238,7 @@ class Component:
             self._fall_back_on_imu(now_s)
             out += self.intervals.tick(now_s, *self.vehicle)
             out += self.timesync.tick(now_s)
+            out += self._trim.tick(now_s, *self.vehicle)
         self._let_estimate_age(now_s)
         return out + self._parameters.tick() + self._texts.tick(now_s)
 
@@ -292,6 +308,7 @@ def _wanted(settings: Settings) -> dict[str, float]:
         "ATTITUDE": link.aiding_rate_hz,
         "VFR_HUD": link.aiding_rate_hz,
         "LOCAL_POSITION_NED": link.aiding_rate_hz,
+        "GPS_RAW_INT": link.aiding_rate_hz,
         "SYSTEM_TIME": 1.0,
         "SCALED_PRESSURE": 1.0,
     }

@@ -38,8 +38,13 @@ SETTLING_S: Final = 5.0
 ASK_AGAIN_S: Final = 10.0
 LONGEST_ASK_AGAIN_S: Final = 120.0
 LOST_SHARE: Final = 0.5
+WHEN_NEW: Final = frozenset({"GPS_RAW_INT"})
+"""Sent only when there is something new, however often it was asked for,"""
+LOST_SHARE_WHEN_NEW: Final = 0.02
+"""so that only silence shows a loss."""
 LATE_ANSWER_S: Final = 0.3
 """How much later than the first the answers to repeated requests may come."""
+SLOW_STREAM_HZ: Final = 5
 _EVENTS: Final = 64
 
 _SET_INTERVAL: Final = int(dialect.MAV_CMD_SET_MESSAGE_INTERVAL)
@@ -251,15 +256,17 @@ class Intervals:
             ("warning", "SET_MESSAGE_INTERVAL is not understood; asking by REQUEST_DATA_STREAM")
         )
         hertz = int(min(50.0, max(rate.wanted_hz for rate in self.rates.values())))
-        streams = (
-            dialect.MAV_DATA_STREAM_RAW_SENSORS,
-            dialect.MAV_DATA_STREAM_EXTRA1,
-            dialect.MAV_DATA_STREAM_EXTRA2,
-            dialect.MAV_DATA_STREAM_POSITION,
-        )
+        streams = {
+            dialect.MAV_DATA_STREAM_RAW_SENSORS: hertz,
+            dialect.MAV_DATA_STREAM_EXTRA1: hertz,
+            dialect.MAV_DATA_STREAM_EXTRA2: hertz,
+            dialect.MAV_DATA_STREAM_POSITION: hertz,
+            # The GPS among much else that nobody needs often.
+            dialect.MAV_DATA_STREAM_EXTENDED_STATUS: min(hertz, SLOW_STREAM_HZ),
+        }
         return [
-            dialect.MAVLink_request_data_stream_message(system, component, stream, hertz, 1)
-            for stream in streams
+            dialect.MAVLink_request_data_stream_message(system, component, stream, rate_hz, 1)
+            for stream, rate_hz in streams.items()
         ]
 
     def _measure(self, now_s: float) -> None:
@@ -279,7 +286,8 @@ class Intervals:
         """Ask again for a granted rate that is gone, twice in a row: a short stall is none."""
         if rate.granted_hz is None or now_s < rate.settled_s:
             return
-        if rate.measured_hz >= LOST_SHARE * rate.granted_hz:
+        share = LOST_SHARE_WHEN_NEW if rate.name in WHEN_NEW else LOST_SHARE
+        if rate.measured_hz >= share * rate.granted_hz:
             rate.state = "granted"
             rate.patience_s, rate.is_low = ASK_AGAIN_S, False
             return

@@ -29,11 +29,11 @@ def trim_of_parameter(name: str | bytes, value: float) -> tuple[float, float] | 
 
 def trim_notes(readings: Rows) -> tuple[str, ...]:
     """Say how far the samples of each vehicle are turned, by the last values in the readings."""
-    trims = readings[readings["kind"] == Kind.TRIM]
-    senders = trims["system"].astype(np.int64) << 8 | trims["component"]
+    senders = readings["system"].astype(np.int64) << 8 | readings["component"]
+    is_trim, is_imu = readings["kind"] == Kind.TRIM, readings["kind"] == Kind.IMU
     notes = []
-    for sender in np.unique(senders).tolist():
-        values = trims["trim_rad"][senders == sender]
+    for sender in np.intersect1d(senders[is_trim], senders[is_imu]).tolist():
+        values = readings["trim_rad"][is_trim & (senders == sender)]
         last = [column[np.isfinite(column)][-1:].sum() for column in values.T]
         if any(last):
             x, y = np.degrees(last)

@@ -153,9 +153,117 @@ def test_aiding_rides_on_the_next_sample_only():
     np.testing.assert_array_equal(samples["velocity_ned_m_s"][50], (1.0, 2.0, 3.0))
 
 
+def velocities(kind, north_m_s, rate_hz, seconds, start_s=0.0):
+    rows = imu(ImuSource.NONE, rate_hz, seconds, start_s=start_s + 0.001)
+    rows["kind"] = kind
+    rows["velocity_ned_m_s"] = (north_m_s, 0.0, np.nan)
+    return rows
+
+
+def norths(samples):
+    """Velocity north of the samples that have one, with their times [s]."""
+    has = np.isfinite(samples["velocity_ned_m_s"][:, 0])
+    return samples["time_ns"][has] * 1e-9, samples["velocity_ned_m_s"][has, 0]
+
+
+def test_the_velocity_of_a_receiver_silences_that_of_the_filter_for_three_seconds():
+    stream = imu(ImuSource.HIGHRES_IMU, 100, 12)
+    gps = velocities(Kind.GPS, 1.0, 5, 4, start_s=2.0)
+    local = velocities(Kind.VELOCITY, 2.0, 10, 12)
+    both = velocities(Kind.GLOBAL_VELOCITY, 3.0, 10, 12)
+    samples, _ = select(np.concatenate([heartbeat(), merge(stream, gps, local, both)]))
+    seconds, north = norths(samples)
+    assert set(north[seconds < 2.0]) == {2.0}
+    assert set(north[(seconds > 2.05) & (seconds < 8.7)]) == {1.0}
+    assert np.count_nonzero(north == 1.0) == 20
+    assert set(north[seconds > 8.9]) == {2.0}
+    samples, _ = select(np.concatenate([heartbeat(), merge(stream, both)]))
+    assert set(norths(samples)[1]) == {3.0}
+
+
+def test_a_velocity_that_is_none_silences_nothing():
+    stream = imu(ImuSource.HIGHRES_IMU, 100, 3)
+    nothing, local = velocities(Kind.GPS, np.nan, 5, 3), velocities(Kind.VELOCITY, 2.0, 10, 3)
+    samples, _ = select(np.concatenate([heartbeat(), merge(stream, nothing, local)]))
+    assert len(norths(samples)[1]) == 30
+
+
+def test_a_clock_that_was_set_back_does_not_silence_for_longer():
+    early, late = imu(ImuSource.HIGHRES_IMU, 100, 2), imu(ImuSource.HIGHRES_IMU, 100, 2, start_s=9)
+    gps = velocities(Kind.GPS, 1.0, 5, 2, start_s=9.0)
+    local = velocities(Kind.VELOCITY, 2.0, 10, 2)
+    readings = np.concatenate([heartbeat(), merge(late, gps), merge(early, local)])
+    samples, _ = select(readings)
+    assert np.count_nonzero(norths(samples)[1] == 2.0) == 20
+
+
+def trim(x_rad, y_rad):
+    row = empty(READING_DTYPE)
+    row["kind"], row["system"], row["component"] = Kind.TRIM, 1, 1
+    row["trim_rad"] = (x_rad, y_rad)
+    return row
+
+
+def test_samples_are_turned_into_the_vehicle_from_the_trim_on():
+    stream = imu(ImuSource.HIGHRES_IMU, 100, 1)
+    stream["gyro_rad_s"], stream["mag_ut"] = (0.1, 0.2, 0.3), (20.0, 0.0, 40.0)
+    x, y = 0.03, -0.05
+    parts = [heartbeat(), stream[:30], trim(x, np.nan), stream[30:60], trim(np.nan, y), stream[60:]]
+    samples, _ = select(np.concatenate(parts))
+    about_x = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]])
+    about_y = np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]])
+    turns = (np.eye(3), about_x, about_y @ about_x)
+    for name in ("gyro_rad_s", "accel_m_s2", "mag_ut"):
+        assert samples[name][:30].tobytes() == stream[name][:30].tobytes()
+        for part, turn in zip((slice(0, 30), slice(30, 60), slice(60, 100)), turns, strict=True):
+            np.testing.assert_allclose(samples[name][part], stream[name][part] @ turn.T, atol=1e-14)
+    assert not samples["flags"].any()
+
+
+def test_a_board_that_leans_makes_a_level_vehicle():
+    """A vehicle at rest whose board leans by the trim shows gravity along its own z axis."""
+    x, y = 0.03, -0.05
+    stream = imu(ImuSource.HIGHRES_IMU, 100, 1)
+    # The board's axes are turned against the vehicle's: roll -x after pitch -y, to first order.
+    stream["accel_m_s2"] = 9.8 * np.array([-np.sin(-y), np.cos(y) * np.sin(-x), -np.cos(x)])
+    samples, _ = select(np.concatenate([heartbeat(), trim(x, y), stream]))
+    np.testing.assert_allclose(samples["accel_m_s2"][:, :2], 0.0, atol=9.8 * 2e-3)
+
+
+def test_a_clipped_axis_is_seen_although_it_is_turned():
+    stream = imu(ImuSource.HIGHRES_IMU, 100, 1)
+    stream["gyro_rad_s"][40] = (34.9, 0.0, 0.0)
+    stream["accel_m_s2"][50] = (0.0, -156.9, -9.8)
+    samples, _ = select(np.concatenate([heartbeat(), trim(0.1, 0.1), stream]))
+    assert np.flatnonzero(samples["flags"] & Flag.SATURATED).tolist() == [40, 50]
+
+
+@pytest.mark.parametrize(("sender", "is_ours"), [((1, 1), True), ((2, 1), False), ((1, 9), False)])
+def test_a_trim_before_the_first_heartbeat_holds_if_it_is_the_vehicles(sender, is_ours):
+    stream, early = imu(ImuSource.HIGHRES_IMU, 100, 1), trim(0.1, 0.1)
+    early["system"], early["component"] = sender
+    samples, _ = select(np.concatenate([early, heartbeat(), stream]))
+    assert (samples["accel_m_s2"].tobytes() != stream["accel_m_s2"].tobytes()) == is_ours
+    # A later one of the vehicle's starts from none.
+    samples, _ = select(np.concatenate([early, heartbeat(), trim(np.nan, 0.0), stream]))
+    assert (samples["accel_m_s2"].tobytes() != stream["accel_m_s2"].tobytes()) == is_ours
+
+
+def test_a_trim_that_is_no_number_or_of_another_vehicle_changes_nothing():
+    stream, other = imu(ImuSource.HIGHRES_IMU, 100, 1), trim(0.1, 0.1)
+    other["system"] = 2
+    samples, _ = select(np.concatenate([heartbeat(), trim(np.nan, np.nan), other, stream]))
+    assert samples["accel_m_s2"].tobytes() == stream["accel_m_s2"].tobytes()
+
+
 def test_one_reading_at_a_time_chooses_the_same():
-    both = merge(imu(ImuSource.RAW_IMU, 100, 3), imu(ImuSource.HIGHRES_IMU, 90, 3, start_s=1.0))
-    readings = np.concatenate([heartbeat(), both])
+    both = merge(
+        imu(ImuSource.RAW_IMU, 100, 3),
+        imu(ImuSource.HIGHRES_IMU, 90, 3, start_s=1.0),
+        velocities(Kind.GPS, 1.0, 5, 1, start_s=0.5),
+        velocities(Kind.VELOCITY, 2.0, 10, 3),
+    )
+    readings = np.concatenate([heartbeat(), both[:100], trim(0.1, -0.05), both[100:]])
     at_once, _ = select(readings)
     state, rows = intake.new_state(), []
     for n in range(len(readings)):

@@ -17,6 +17,7 @@ from links.mavlink_codec import Encoder, dialect
 from links.readings import from_tables
 from links.recording import AttitudeReference, Recording
 from links.tlog import TlogFile, read_tlog, tlog_record
+from links.vehicle_trim import TRIM_NAMES
 
 _GAUSS_PER_UT: Final = 0.01
 _ACCEL_AND_GYRO: Final = 0x3F
@@ -37,7 +38,7 @@ def write_tlog(
     """Write a .tlog with what the live service would send as `settings.link.component`.
 
     Of a .tlog every frame is kept as it is, and ours follow the frame whose sample made them. Of
-    other logs HEARTBEAT, HIGHRES_IMU and their own attitude are written as MAVLink. `positions`
+    other logs HEARTBEAT, trim, HIGHRES_IMU and their own attitude are written. `positions`
     [N] gives the reading behind each estimate.
     """
     ours = _published(estimates, settings, Encoder(system, settings.link.component))
@@ -98,14 +99,15 @@ def _stamp_us(time_ns: int) -> int:
 
 
 def _imu_frames(recording: Recording, system: int) -> Iterator[tuple[int, bytes]]:
-    """HEARTBEAT at 1 Hz, HIGHRES_IMU for every sample and the log's attitude, in order of time."""
+    """HEARTBEAT at 1 Hz, trim, HIGHRES_IMU and the log's attitude, in order of time."""
     encoder = Encoder(system, _AUTOPILOT_COMPONENT)
     readings = recording.readings
     samples = readings[readings["kind"] == Kind.IMU]
-    autopilot = int(readings["autopilot"].max())
+    autopilot, vehicle = int(readings["autopilot"].max()), int(readings["vehicle"].max())
     reference = recording.references[0] if recording.references else None
     messages = heapq.merge(
-        _heartbeats(samples["time_ns"], autopilot),
+        _heartbeats(samples["time_ns"], autopilot, vehicle),
+        _trims(readings[readings["kind"] == Kind.TRIM]),
         _highres(samples),
         _reference_messages(reference),
         key=lambda item: item[0],
@@ -113,15 +115,31 @@ def _imu_frames(recording: Recording, system: int) -> Iterator[tuple[int, bytes]
     return ((time_ns, encoder.pack(message)) for time_ns, message in messages)
 
 
-def _heartbeats(time_ns: Integers, autopilot: int) -> Iterator[tuple[int, Any]]:
+def _heartbeats(time_ns: Integers, autopilot: int, vehicle: int) -> Iterator[tuple[int, Any]]:
     seconds = time_ns // _HEARTBEAT_NS
     for stamp in time_ns[np.diff(seconds, prepend=seconds[:1] - 1) != 0].tolist():
         yield (
             stamp,
             dialect.MAVLink_heartbeat_message(
-                dialect.MAV_TYPE_GENERIC, autopilot, 0, 0, dialect.MAV_STATE_ACTIVE, 3
+                vehicle, autopilot, 0, 0, dialect.MAV_STATE_ACTIVE, 3
             ),
         )
+
+
+def _trims(trims: Rows) -> Iterator[tuple[int, Any]]:
+    for time_ns, values in zip(trims["time_ns"].tolist(), trims["trim_rad"].tolist(), strict=True):
+        for index, (name, value) in enumerate(zip(TRIM_NAMES, values, strict=True)):
+            if math.isfinite(value):
+                yield (
+                    time_ns,
+                    dialect.MAVLink_param_value_message(
+                        name.encode(),
+                        value,
+                        dialect.MAV_PARAM_TYPE_REAL32,
+                        len(TRIM_NAMES),
+                        index,
+                    ),
+                )
 
 
 def _highres(samples: Rows) -> Iterator[tuple[int, Any]]:

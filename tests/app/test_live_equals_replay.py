@@ -178,6 +178,40 @@ def test_a_gate_limit_changed_in_flight(
         assert other.estimates.tobytes() != b"".join(served.estimates)
 
 
+def param_value(name: str, value: float) -> bytes:
+    message = dialect.MAVLink_param_value_message(name.encode(), value, 9, 2, 0)
+    return Encoder(1, 1).pack(message)
+
+
+@pytest.mark.parametrize("rotate_mb", [0.0, 0.02])
+def test_a_trim_that_is_told_in_flight(
+    rotate_mb: float, live: SimpleNamespace, flight_frames: list[bytes], tmp_path: Path
+) -> None:
+    folder = tmp_path / "flights"
+    half = len(flight_frames) // 2
+    trim = [param_value("AHRS_TRIM_X", 0.05), param_value("AHRS_TRIM_Y", -0.1)]
+
+    async def scenario() -> Any:
+        settings = recorded_in(folder, rotate_mb=rotate_mb)
+        async with live.session(settings, "tcp", tmp_path) as (served, vehicle):
+            await live.fly(served, vehicle, [*flight_frames[:half], *trim, *flight_frames[half:]])
+        return served
+
+    served = asyncio.run(scenario())
+    parts = [replay_log(file) for file in sorted(folder.iterdir())]
+    assert (len(parts) > 1) == (rotate_mb > 0)
+    estimates = b"".join(part.estimates.tobytes() for part in parts)
+    assert estimates == b"".join(served.estimates)
+    if not rotate_mb:
+        (part,) = parts
+        ours = part.estimates["accel_m_s2"]
+        readings = part.recording.readings[part.positions]
+        turned = np.abs(ours - readings["accel_m_s2"]).max(axis=1) > 0.3
+        # Before the trim only the estimated bias lies between, behind it 6 degrees of gravity.
+        assert not turned[: len(turned) // 3].any()
+        assert turned[-len(turned) // 3 :].all()
+
+
 def test_a_signed_session_whose_recording_is_unsigned(
     live: SimpleNamespace, flight_frames: list[bytes], tmp_path: Path
 ) -> None:

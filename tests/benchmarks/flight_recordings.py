@@ -4,12 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from gps_velocity import GpsVelocity, gps_velocity
 
 from ahrs_service import intake
 from ahrs_service.records import SAMPLE_DTYPE, Kind, Rows, empty
 from ahrs_service.settings import Settings
-from links.dataflash_tables import read_tables
 from links.errors import RecordingError
 from links.recording import AttitudeReference
 from links.recording_formats import READERS, read_recording
@@ -34,16 +32,11 @@ SLOWEST_HZ = 8.0
 
 @dataclass(frozen=True)
 class Flight:
-    """One recording: samples [N] SAMPLE_DTYPE and the attitude it has itself.
-
-    `trim_deg` is AHRS_TRIM_X, _Y: ArduPilot's attitude is turned back by it, its IMU log is not, so
-    an attitude of the IMU stands off by it (roll, pitch) and nothing in the samples can tell.
-    """
+    """One recording: samples [N] SAMPLE_DTYPE and the attitude it has itself."""
 
     name: str
     samples: Rows
     reference: AttitudeReference
-    trim_deg: tuple[float, float] | None = None
 
     @property
     def duration_s(self) -> float:
@@ -70,28 +63,8 @@ def read_flight(name: str, path: Path) -> Flight:
     samples = samples[:count]
     if not count or 1e9 / np.median(np.diff(samples["time_ns"])) < SLOWEST_HZ:
         raise RecordingError(f"{path}: its IMU comes at less than {SLOWEST_HZ:.0f} Hz")
-    if not np.isfinite(samples["velocity_ned_m_s"]).any():
-        _attach_gps(samples, gps_velocity(path, recording.readings))
     references = sorted(recording.references, key=lambda one: not one.is_truth)
-    trim_deg = _trim_deg(path) if path.suffix.lower() == ".bin" else None
-    return Flight(name, samples, references[0], trim_deg)
-
-
-def _trim_deg(path: Path) -> tuple[float, float] | None:
-    log = read_tables(path)
-    table = log.table("PARM") if "PARM" in log.counts() else ()
-    values = {bytes(row["Name"]): float(np.degrees(row["Value"])) for row in table}
-    if b"AHRS_TRIM_X" not in values or b"AHRS_TRIM_Y" not in values:
-        return None
-    return values[b"AHRS_TRIM_X"], values[b"AHRS_TRIM_Y"]
-
-
-def _attach_gps(samples: Rows, gps: GpsVelocity | None) -> None:
-    """Put each velocity of the GPS on the first sample that is not older than it."""
-    if gps is not None:
-        places = np.searchsorted(np.maximum.accumulate(samples["time_ns"]), gps.time_ns)
-        inside = places < len(samples)
-        samples["velocity_ned_m_s"][places[inside]] = gps.ned_m_s[inside]
+    return Flight(name, samples, references[0])
 
 
 def recordings(data: Path, names: list[str], everything: bool) -> dict[str, Path]:

@@ -7,7 +7,7 @@ DIR holds the recordings (default: ../shared/data/flights beside the project): t
 --all every other one too that can be read and has an attitude to compare with. Every log goes
 through the project's reader and intake; what the intake chose is what every algorithm gets. "ours"
 sees gyro and accelerometer only, as the peers do; "ours aided" also the airspeed and the velocity
-over ground that the log has (its GPS's, where it has no velocity as the link gives it). The error
+over ground that the log has. All get the IMU in the vehicle's axes, by AHRS_TRIM. The error
 is against the autopilot's own attitude (ahrs_service.comparison has the rules), which is another
 estimate, not the truth (reference_witness.py judges it); for sitl it is the simulator's truth.
 
@@ -230,7 +230,6 @@ def run(args: argparse.Namespace, names: list[str], log: Console) -> dict[str, A
             "samples": len(samples),
             "running": float(running.mean()),
             "reference": flight.reference.name,
-            "trim_deg": flight.trim_deg,
             "aided_by": {
                 "airspeed": int(np.isfinite(samples["airspeed_m_s"]).sum()),
                 "velocity": int(np.isfinite(samples["velocity_ned_m_s"]).any(axis=1).sum()),
@@ -260,12 +259,11 @@ def report(results: dict[str, Any], names: list[str]) -> None:
         out.print(one)
         out.print()
     for name, result in results.items():
-        own, aid, trim = result["errors"]["ours"], result["aided_by"], result["trim_deg"]
+        own, aid = result["errors"]["ours"], result["aided_by"]
         mean = _pair(own["roll_mean"], own["pitch_mean"])
-        known = "" if trim is None else f" (AHRS_TRIM {trim[0]:.2f} {trim[1]:.2f})"
         out.print(
             f"{name}: {result['duration_s']:.0f} s, steady {own['steady_s']:.0f} s, "
-            f"{result['airframe']}, reference {result['reference']}; mean error {mean}{known}; "
+            f"{result['airframe']}, reference {result['reference']}; mean error {mean}; "
             f"samples with airspeed {aid['airspeed']}, velocity {aid['velocity']}",
             highlight=False,
         )

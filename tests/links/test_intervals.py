@@ -30,6 +30,7 @@ def test_every_message_is_asked_once_granted_and_measured(converse):
         "ATTITUDE": 10.0,
         "VFR_HUD": 10.0,
         "LOCAL_POSITION_NED": 10.0,
+        "GPS_RAW_INT": 10.0,
         "SYSTEM_TIME": 1.0,
         "SCALED_PRESSURE": 1.0,
     }
@@ -40,7 +41,7 @@ def test_every_message_is_asked_once_granted_and_measured(converse):
         assert rate.measured_hz == pytest.approx(wanted[name], rel=0.21)
         assert rate.mean_hz == pytest.approx(wanted[name], rel=0.02)
     assert found["HIGHRES_IMU"].measured_hz == pytest.approx(200.0, rel=0.01)
-    assert [len(flight.asked(name)) for name in wanted] == [1] * 7
+    assert [len(flight.asked(name)) for name in wanted] == [1] * 8
     assert flight.told == [("info", "adopted vehicle 1/1 (ARDUPILOTMEGA)")]
 
 
@@ -69,7 +70,7 @@ def test_the_denied_imu_is_settled_before_anything_else_is_asked(converse):
     flight.run(3.0)
     names = [int(message.param1) for _, message in flight.named("COMMAND_LONG")]
     assert names[:4] == [dialect.MAVLINK_MSG_ID_HIGHRES_IMU] * 4
-    assert len(names) == 10
+    assert len(names) == 11
 
 
 @pytest.mark.parametrize("result", [UNSUPPORTED, DENIED, dialect.MAV_RESULT_FAILED])
@@ -172,10 +173,11 @@ def test_an_autopilot_that_answers_nothing_is_asked_once_by_streams(converse):
         dialect.MAV_DATA_STREAM_EXTRA1,
         dialect.MAV_DATA_STREAM_EXTRA2,
         dialect.MAV_DATA_STREAM_POSITION,
+        dialect.MAV_DATA_STREAM_EXTENDED_STATUS,
     ]
     assert {(m.target_system, m.target_component, m.start_stop) for _, m in streams} == {(1, 1, 1)}
-    assert {m.req_message_rate for _, m in streams} == {50}
-    assert streams[0][0] - 1000.0 < 16.0
+    assert [m.req_message_rate for _, m in streams] == [50, 50, 50, 50, 5]
+    assert streams[0][0] - 1000.0 < 18.5
     assert len(flight.texts("REQUEST_DATA_STREAM")) == 1
     assert {rate.state for rate in flight.component.rates()} == {"no answer"}
 
@@ -186,7 +188,7 @@ def test_an_autopilot_that_knows_no_such_command_is_asked_once_by_streams(conver
     flight.refuse = dict.fromkeys([*names, "RAW_IMU"], UNSUPPORTED)
     flight.run(60.0)
     streams = flight.named("REQUEST_DATA_STREAM")
-    assert len(streams) == 4
+    assert len(streams) == 5
     assert streams[0][0] - 1000.0 < 2.0
     assert [len(flight.asked(name)) for name in ("ATTITUDE", "RAW_IMU")] == [1, 1]
     assert {rate.state for rate in flight.component.rates()} == {"unsupported"}
@@ -219,7 +221,22 @@ def test_after_a_restart_the_old_way_is_open_again(converse):
     flight.run(40.0)
     flight.boot()
     flight.run(40.0)
-    assert len(flight.named("REQUEST_DATA_STREAM")) == 8
+    assert len(flight.named("REQUEST_DATA_STREAM")) == 10
+
+
+def test_a_gps_is_as_slow_as_it_is_and_asked_again_only_when_silent():
+    intervals = Intervals({"GPS_RAW_INT": 10.0})
+    number, asked = dialect.MAVLINK_MSG_ID_GPS_RAW_INT, []
+    for tick in range(1200):
+        now_s = 1000.0 + 0.05 * tick
+        if intervals.tick(now_s, 1, 1):
+            asked.append(now_s - 1000.0)
+            intervals.on_ack(SET_INTERVAL, ACCEPTED, now_s)
+        if tick % 20 == 7 and tick < 800:
+            intervals.heard(number, now_s)
+    assert asked[0] == 0.0
+    assert 40.0 < asked[1] < 46.0
+    assert intervals.find("GPS_RAW_INT").granted_hz == 10.0
 
 
 def test_what_a_ground_station_resets_is_asked_again(converse, arrived):

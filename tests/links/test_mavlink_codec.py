@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from links.mavlink_codec import Decoder, Encoder, decode_frame, dialect
@@ -81,7 +81,12 @@ def test_every_message_of_the_dialect_decodes_as_pymavlink_does(kind: str) -> No
         assert parts(message) == parts(oracle.decode(bytearray(frame))), message.get_type()
 
 
+NUL_CHARACTER = frame_v2(dialect.MAVLINK_MSG_ID_TEST_TYPES, b"\x00")
+"""pymavlink makes the field of one character empty, and cannot pack that again."""
+
+
 @given(frames(), st.integers(1, 255), st.integers(0, 255))
+@example(NUL_CHARACTER, 1, 2)
 def test_what_is_packed_is_decoded(frame: bytes, system: int, component: int) -> None:
     message = decode_frame(frame)
     packed = Encoder(system, component).pack(message)
@@ -178,6 +183,17 @@ def test_a_cut_datagram_does_not_eat_the_next() -> None:
     assert found(decoder, frame[:-3]) == []
     assert found(decoder, frame) == [frame]
     assert decoder.counts["garbage_bytes"] == len(frame) - 3
+
+
+def test_a_character_that_is_nul_is_a_frame_like_any_other() -> None:
+    assert NUL_CHARACTER == b"\xfd\x01\x00\x00\x00\x01\x02hB\x00\x00\xd2\xf1"
+    for datagrams in (False, True):
+        decoder = Decoder(datagrams=datagrams)
+        ((message, raw),) = decoder.feed(NUL_CHARACTER)
+        assert (message.c, raw) == ("", NUL_CHARACTER)
+        assert decoder.counts["frames"] == 1
+        ((again, _),) = Decoder().feed(Encoder(1, 2).pack(message))
+        assert again.to_dict() == message.to_dict()
 
 
 def test_more_frames_than_the_scanner_takes_at_once() -> None:

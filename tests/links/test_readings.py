@@ -13,6 +13,7 @@ from ahrs_service.rotation import quaternion_columns
 from links.errors import RecordingError
 from links.mavlink_codec import Decoder, Encoder, dialect
 from links.readings import RULES, from_message, from_tables, recording_from_tlog
+from links.session_marks import MarkKind, mark_messages
 from links.tlog import read_tlog, tlog_record
 
 START_US = 1_700_000_000_000_000
@@ -108,6 +109,68 @@ def test_sender_autopilot_airspeed_and_velocity() -> None:
     assert reading_of(attitude(1, 0.0)) is None
 
 
+def gps(fix: int = 3, vel: int = 1234, cog: int = 21_000, **changed: int) -> Any:
+    message = dialect.MAVLink_gps_raw_int_message(
+        9_000_000, fix, 474_000_000, 85_500_000, 0, 90, 140, vel, cog, 12
+    )
+    for name, value in changed.items():
+        setattr(message, name, value)
+    return message
+
+
+def test_a_receiver_tells_speed_and_course_over_ground() -> None:
+    row = reading_of(gps())
+    assert (row["kind"], row["time_ns"]) == (Kind.GPS, 9_000_000_000)
+    north, east, down = row["velocity_ned_m_s"]
+    assert north == pytest.approx(-12.34 * np.cos(np.pi / 6))
+    assert east == pytest.approx(-12.34 / 2)
+    assert np.isnan(down)
+    assert reading_of(gps(fix=4)) is not None
+    assert reading_of(gps(vel=0, cog=0))["velocity_ned_m_s"].tolist()[:2] == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("absent", [{"fix": 2}, {"fix": 0}, {"vel": 0xFFFF}, {"cog": 0xFFFF}])
+def test_without_a_fix_there_is_no_velocity(absent: dict[str, int]) -> None:
+    assert reading_of(gps(**absent)) is None
+
+
+def test_the_global_position_has_a_velocity_too_unless_all_is_zero() -> None:
+    def position(*velocity: int) -> Any:
+        return dialect.MAVLink_global_position_int_message(40, 1, 2, 3, 4, *velocity, 0)
+
+    row = reading_of(position(150, -200, 25))
+    assert (row["kind"], row["time_ns"]) == (Kind.GLOBAL_VELOCITY, 40_000_000)
+    assert row["velocity_ned_m_s"].tolist() == [1.5, -2.0, 0.25]
+    assert np.isnan(reading_of(position(0, 0, 0))["velocity_ned_m_s"]).all()
+
+
+def parameter(name: bytes, value: float) -> Any:
+    return dialect.MAVLink_param_value_message(name, value, 9, 900, 17)
+
+
+def test_the_trim_is_a_parameter() -> None:
+    row = reading_of(parameter(b"AHRS_TRIM_X", -0.0625))
+    assert (row["kind"], row["time_ns"]) == (Kind.TRIM, 0)
+    np.testing.assert_array_equal(row["trim_rad"], [-0.0625, np.nan])
+    row = reading_of(parameter(b"AHRS_TRIM_Y", 0.125))
+    np.testing.assert_array_equal(row["trim_rad"], [np.nan, 0.125])
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        (b"AHRS_TRIM_Z", 0.01),
+        (b"AHRS_TRIM_X2", 0.01),
+        (b"", 0.01),
+        (b"AHRS_TRIM_X", 0.2),
+        (b"AHRS_TRIM_X", float("nan")),
+        (b"AHRS_TRIM_Y", float("-inf")),
+    ],
+)
+def test_other_parameters_and_impossible_trims_are_none(name: bytes, value: float) -> None:
+    assert reading_of(parameter(name, value)) is None
+
+
 @pytest.mark.parametrize(
     ("updated", "absent"),
     [
@@ -164,6 +227,10 @@ def any_message(name: str) -> st.SearchStrategy[Any]:
         few, min_size=size, max_size=size
     ).map(b"".join)
     orders = known.orders
+    if name == "PARAM_VALUE":
+        ids = st.sampled_from([b"AHRS_TRIM_X", b"AHRS_TRIM_Y\0x", b"\xff\0AHRS_TRIM_X", b"OTHER"])
+        values = st.floats(-0.25, 0.25, width=32) | st.just(float("nan"))
+        return st.builds(parameter, ids, values)
     return payload.map(known.unpacker.unpack).map(lambda t: known(*(t[i] for i in orders)))
 
 
@@ -290,6 +357,61 @@ def test_raw_counts_in_raw_imu_are_told(tmp_path: Path) -> None:
     counts = scaled("raw_imu", xacc=30, yacc=-60, zacc=-16384)
     assert "raw counts" in recording_from_tlog(write(tmp_path / "a.tlog", counts)).notes[0]
     assert recording_from_tlog(write(tmp_path / "b.tlog", scaled("raw_imu"))).notes == ()
+
+
+def flown_square(cog_of: Any) -> list[Any]:
+    """GPS_RAW_INTs at 5 Hz: 10 s north, east, south and west at 8 m/s."""
+    north = east = 0.0
+    flown = []
+    for n in range(200):
+        course = np.pi / 2 * (n // 50)
+        north, east = north + 1.6 * np.cos(course), east + 1.6 * np.sin(course)
+        at = {"lat": int(north / 0.0111195), "lon": int(east / 0.0111195)}
+        flown.append(gps(vel=800, cog=cog_of(course), time_usec=200_000 * n, **at))
+    return flown
+
+
+def square_tlog(path: Path, cog_of: Any, *head: Any) -> Path:
+    content = b"".join(tlog_record(START_US, AUTOPILOT.pack(one)) for one in head)
+    for n, message in enumerate([heartbeat(), highres(), *flown_square(cog_of)]):
+        content += tlog_record(START_US + 200_000 * n, AUTOPILOT.pack(message))
+    path.write_bytes(content)
+    return path
+
+
+def gps_velocities(path: Path) -> tuple[Any, tuple[str, ...]]:
+    recording = recording_from_tlog(path)
+    rows = recording.readings[recording.readings["kind"] == Kind.GPS]
+    assert len(rows) == 200
+    return rows["velocity_ned_m_s"][:, :2], recording.notes
+
+
+def test_a_course_that_does_not_follow_the_positions_is_not_used(tmp_path: Path) -> None:
+    velocity, notes = gps_velocities(
+        square_tlog(tmp_path / "good.tlog", lambda course: int(100 * np.degrees(course)))
+    )
+    assert np.isfinite(velocity).all()
+    assert notes == ()
+    radians = square_tlog(tmp_path / "bad.tlog", lambda course: int(100 * course))
+    velocity, (note,) = gps_velocities(radians)
+    assert np.isnan(velocity).all()
+    assert "GPS_RAW_INT of 1/1" in note
+    assert "not used" in note
+
+
+def test_a_doubtful_course_in_an_own_recording_replays_as_the_session_was(tmp_path: Path) -> None:
+    marks = mark_messages(MarkKind.SETTINGS, b"{}")
+    path = square_tlog(tmp_path / "own.tlog", lambda course: int(100 * course), *marks)
+    velocity, (note,) = gps_velocities(path)
+    assert np.isfinite(velocity).all()
+    assert "used as it was" in note
+
+
+def test_the_trim_of_the_samples_is_told(tmp_path: Path) -> None:
+    entries = [heartbeat(), parameter(b"AHRS_TRIM_X", 0.01), parameter(b"AHRS_TRIM_Y", 0.0)]
+    entries += [parameter(b"AHRS_TRIM_Y", -0.02), highres()]
+    (note,) = recording_from_tlog(write(tmp_path / "a.tlog", *entries)).notes
+    assert "1/1 turned by AHRS_TRIM +0.57 deg about x, -1.15 deg about y" in note
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,8 @@ IMU_FIELDS = (
 )
 TEMPERATURE_FIELDS = "uint64_t timestamp;uint32_t device_id;float temperature;uint8_t[4] _padding0;"
 SELECTION_FIELDS = "uint64_t timestamp;uint32_t accel_device_id;uint32_t gyro_device_id;"
+GPS_FIELDS = "uint64_t timestamp;float vel_n_m_s;float vel_e_m_s;float vel_d_m_s;uint8_t fix_type;"
+LOCAL_FIELDS = "uint64_t timestamp;float vx;float vy;float vz;"
 TRUTH_FIELDS = "uint64_t timestamp;float[4] q;"
 
 
@@ -139,6 +141,36 @@ def test_groundtruth_is_marked_as_truth(tmp_path):
     (truth,) = read_ulog(path).references
     assert truth.is_truth
     np.testing.assert_array_equal(truth.ned_from_body, [[1.0, 0.0, 0.0, 0.0]])
+
+
+@pytest.mark.parametrize("name", ["vehicle_gps_position", "sensor_gps"])
+def test_velocities_of_a_receiver_with_a_fix_and_of_the_filter_are_told_apart(name, tmp_path):
+    def velocity(number: int, time_us: int, north: float, *fix: int) -> bytes:
+        values = (number, time_us, north, 2.0, 3.0, *fix)
+        return message("D", struct.pack("<HQ3f" + "B" * len(fix), *values))
+
+    path = written(
+        tmp_path,
+        topic(name, GPS_FIELDS),
+        topic("vehicle_local_position", LOCAL_FIELDS),
+        *imu_log(imu(4_000), imu(8_000)),
+        subscribe(1, name),
+        subscribe(2, "vehicle_local_position"),
+        velocity(1, 5_000, 1.0, 3),
+        velocity(1, 5_200, 1.5, 2),
+        velocity(1, 5_400, float("nan"), 4),
+        velocity(2, 6_000, 7.0),
+    )
+    readings = read_ulog(path).readings
+    (gps,) = readings[readings["kind"] == Kind.GPS]
+    assert (gps["time_ns"], gps["velocity_ned_m_s"].tolist()) == (5_000_000, [1.0, 2.0, 3.0])
+    (local,) = readings[readings["kind"] == Kind.VELOCITY]
+    assert local["velocity_ned_m_s"].tolist() == [7.0, 2.0, 3.0]
+
+
+def test_a_receiver_without_a_fix_tells_no_velocity(shared):
+    readings = read_ulog(shared / "flights" / "px4_fmuv6c_quad_222hz.ulg").readings
+    assert np.count_nonzero(readings["kind"] == Kind.GPS) == 0
 
 
 def test_a_cut_file_gives_what_is_before_the_cut(tmp_path, shared):
