@@ -59,7 +59,7 @@ class Estimator:
 
     def configure(self, settings: Settings) -> None:
         """Take new settings from the next sample on."""
-        self._intake_parameters = intake.parameters(settings.intake)
+        self._intake_parameters = intake.parameters(settings.intake, settings.gate)
         self._pipeline_parameters = pipeline.parameters(settings)
 
     def _reserve(self, count: int) -> None:

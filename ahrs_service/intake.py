@@ -1,7 +1,8 @@
 """From readings to samples: adopts the vehicle, chooses the IMU, attaches temperature and aiding.
 
-The same kernel takes one live reading or a whole recording, so both choose alike. It decides by
-the readings alone, never by a clock.
+Samples are in the vehicle's axes, turned by the trim as soon as it is heard. The same kernel takes
+one live reading or a whole recording, so both choose alike. It decides by the readings alone, never
+by a clock.
 """
 
 import math
@@ -11,10 +12,13 @@ import numpy as np
 
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Airframe, Flag, ImuSource, Integers, Kind, Record, Rows
-from ahrs_service.settings import IntakeSettings
+from ahrs_service.settings import GateSettings, IntakeSettings
+from ahrs_service.vehicle_axes import RANGE_FIELDS, TRIM_FIELDS, new_trim, take_trim, turn_sample
 
 _SOURCES: Final = 16
 _IMUS: Final = 4
+_VELOCITIES: Final = 3
+"""Origins of a velocity over ground, the best first."""
 
 STATE_DTYPE: Final = np.dtype(
     [
@@ -29,7 +33,9 @@ STATE_DTYPE: Final = np.dtype(
         ("temperature_changes", "i8", _IMUS),
         ("mag_ut", "f8", 3),
         ("velocity_ned_m_s", "f8", 3),
+        ("velocity_received_ns", "i8", _VELOCITIES),
         ("airspeed_m_s", "f8"),
+        *TRIM_FIELDS,
         ("foreign", "i8"),
         ("unused", "i8"),
         ("source_changes", "i8"),
@@ -48,6 +54,7 @@ PARAMETERS_DTYPE: Final = np.dtype(
         ("component", "i8"),
         ("source", "i8"),
         ("highres_temperature", "i8"),
+        *RANGE_FIELDS,
         ("airframe_of_type", "i8", 256),
     ]
 )
@@ -55,7 +62,10 @@ PARAMETERS_DTYPE: Final = np.dtype(
 _HEARTBEAT = int(Kind.HEARTBEAT)
 _IMU = int(Kind.IMU)
 _AIRSPEED = int(Kind.AIRSPEED)
+_GPS = int(Kind.GPS)
 _VELOCITY = int(Kind.VELOCITY)
+_GLOBAL_VELOCITY = int(Kind.GLOBAL_VELOCITY)
+_TRIM = int(Kind.TRIM)
 _HIGHRES = (
     int(ImuSource.HIGHRES_IMU),
     int(ImuSource.HIGHRES_IMU_1),
@@ -82,6 +92,8 @@ _SILENCE_S = 0.25
 _TEMPERATURE_SILENCE_S = 10.0
 _TEMPERATURE_FROZEN_S = 30.0
 _INTERVAL_WEIGHT = 0.05
+_VELOCITY_SILENCE_NS = 3_000_000_000
+_NEVER_NS = -(2**62)
 
 
 def new_state() -> Rows:
@@ -89,12 +101,19 @@ def new_state() -> Rows:
     state = np.zeros(1, STATE_DTYPE)
     for name in ("temperature_degc", "mag_ut", "velocity_ned_m_s", "airspeed_m_s"):
         state[name] = np.nan
+    state["velocity_received_ns"] = _NEVER_NS
+    new_trim(state)
     return state
 
 
-def parameters(settings: IntakeSettings) -> Rows:
-    """Return the kernel's parameters [1]; ValueError for an IMU source that does not exist."""
+def parameters(settings: IntakeSettings, gate: GateSettings | None = None) -> Rows:
+    """Return the kernel's parameters [1]; ValueError for an IMU source that does not exist.
+
+    `gate` tells the ranges of the sensors.
+    """
     row = np.zeros(1, PARAMETERS_DTYPE)
+    gate = gate or GateSettings()
+    row["gyro_range_rad_s"], row["accel_range_m_s2"] = gate.gyro_range_rad_s, gate.accel_range_m_s2
     for source, imu in _IMU_OF_SOURCE.items():
         row["imu_of_source"][0, source] = imu
     for airframe, types in _TYPES_OF_AIRFRAME.items():
@@ -244,6 +263,23 @@ def _temperature_is_stale(state: Record, imu: int, received_ns: int) -> bool:
 
 
 @kernel
+def _take_velocity(state: Record, reading: Record, rank: int) -> None:
+    """Keep a velocity over ground unless a better one was heard in the last three seconds.
+
+    The autopilot's filter can diverge without saying so, and both of its messages tell the same.
+    """
+    v, received_ns = reading["velocity_ned_m_s"], reading["received_ns"]
+    if not (math.isfinite(v[0]) and math.isfinite(v[1])):
+        return
+    for better in range(rank):
+        if 0 <= received_ns - state["velocity_received_ns"][better] < _VELOCITY_SILENCE_NS:
+            return
+    state["velocity_received_ns"][rank] = received_ns
+    for i in range(3):
+        state["velocity_ned_m_s"][i] = v[i]
+
+
+@kernel
 def _write_sample(
     parameters: Record, state: Record, reading: Record, flags: int, sample: Record
 ) -> None:
@@ -261,7 +297,7 @@ def _write_sample(
         sample["mag_ut"][i] = reading["mag_ut"][i]
         sample["velocity_ned_m_s"][i] = state["velocity_ned_m_s"][i]
         state["velocity_ned_m_s"][i] = np.nan
-    sample["flags"] = flags
+    sample["flags"] = flags | turn_sample(parameters, state, sample)
     sample["source"] = reading["source"]
     sample["airframe"] = parameters["airframe_of_type"][state["vehicle"]]
 
@@ -303,7 +339,12 @@ def select(
             written += _take_imu(settings, memory, reading, samples[written])
         elif kind == _AIRSPEED:
             memory["airspeed_m_s"] = reading["airspeed_m_s"]
+        elif kind == _GPS:
+            _take_velocity(memory, reading, 0)
         elif kind == _VELOCITY:
-            for i in range(3):
-                memory["velocity_ned_m_s"][i] = reading["velocity_ned_m_s"][i]
+            _take_velocity(memory, reading, 1)
+        elif kind == _GLOBAL_VELOCITY:
+            _take_velocity(memory, reading, 2)
+        elif kind == _TRIM:
+            take_trim(memory, reading)
     return written

@@ -21,12 +21,18 @@ Integers = npt.NDArray[np.int64]
 
 
 class Kind(IntEnum):
-    """What a reading carries."""
+    """What a reading carries.
+
+    Of the velocities GPS is the receiver's own, the others are those of the autopilot's filter.
+    """
 
     HEARTBEAT = 1
     IMU = 2
     AIRSPEED = 3
     VELOCITY = 4
+    GPS = 5
+    GLOBAL_VELOCITY = 6
+    TRIM = 7
 
 
 class ImuSource(IntEnum):
@@ -107,6 +113,7 @@ READING_DTYPE: Final = np.dtype(
         ("temperature_degc", "f8"),
         ("velocity_ned_m_s", "f8", 3),
         ("airspeed_m_s", "f8"),
+        ("trim_rad", "f8", 2),
         ("kind", "u1"),
         ("source", "u1"),
         ("system", "u1"),
@@ -120,8 +127,9 @@ READING_DTYPE: Final = np.dtype(
 
 `received_ns` host clock at receipt, `time_ns` the sender's clock (0 if the message has none). IMU
 readings fill gyro, accel, and where there are new values mag and temperature; a
-`HIGHRES_IMU` temperature is the barometer's or the air's, never the IMU's. `autopilot`
-and `vehicle` are HEARTBEAT.autopilot and HEARTBEAT.type.
+`HIGHRES_IMU` temperature is the barometer's or the air's, never the IMU's. `trim_rad` [2] about
+x, y turns the board's axes into the vehicle's, NaN leaves one as it was. `autopilot` and `vehicle`
+are HEARTBEAT.autopilot and HEARTBEAT.type.
 """
 
 SAMPLE_DTYPE: Final = np.dtype(

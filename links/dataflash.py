@@ -11,10 +11,14 @@ from ahrs_service.records import READING_DTYPE, ImuSource, Kind, Rows, empty
 from ahrs_service.rotation import quaternion_columns
 from links.dataflash_tables import DataFlashFile, read_tables
 from links.errors import RecordingError
+from links.gps_velocity import LEAST_FIX, velocity_columns
 from links.recording import AttitudeReference, Recording
+from links.vehicle_trim import trim_notes, trim_of_parameter
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
+
+_NONE: Final = (np.zeros(0, np.int64), empty(READING_DTYPE, 0))
 
 _AUTOPILOT_ARDUPILOT: Final = 3
 _UT_PER_MILLIGAUSS: Final = 0.1
@@ -22,26 +26,34 @@ _GYRO: Final = ("GyrX", "GyrY", "GyrZ")
 _ACCEL: Final = ("AccX", "AccY", "AccZ")
 _TEMPERATURES: Final = ("T", "Temp")
 _INSTANCES: Final = ("I", "C")
-_TIMES: Final = {"TimeUS": 1000, "TimeMS": 1_000_000}
+_TIMES: Final = {"TimeUS": 1000, "TimeMS": 1_000_000, "T": 1_000_000}
+_CLOCKS: Final = ("TimeUS", "TimeMS")
+_GPS_CLOCKS: Final = ("TimeUS", "T")
+"""In the GPS records of old logs TimeMS is the satellites' time and T the autopilot's."""
 _VEHICLES: Final = ((b"Plane", 1), (b"Copter", 2), (b"Rover", 10), (b"Sub", 12))
 """MAV_TYPE by the firmware's name, as the first messages of a log give it."""
 _VELOCITIES: Final = ("XKF1", "NKF1", "EKF1")
+_FASTEST_M_S: Final = 60.0
+"""A filter whose velocity runs beyond this has diverged, and not only there [m/s]."""
 _AIRSPEEDS: Final = (("ARSP", "Airspeed"), ("NTUN", "Arspd"))
 _REFERENCES: Final = ("SIM", "ATT", "AHR2", "XKF1", "NKF1", "EKF1")
 
 
 def read_dataflash(path: str | Path, progress: Callable[[float], None] | None = None) -> Recording:
-    """Read a DataFlash log: the first IMU, aiding, and the autopilot's attitudes.
+    """Read a DataFlash log: the first IMU, aiding, the trim, and the autopilot's attitudes.
 
     The log has one clock, so `received_ns` equals `time_ns`; readings are in the order of the
-    file. Temperature is the IMU's own (`T` or `Temp`, 0 is none). SIM, where a simulator wrote
+    file, but for the trim that it begins with, which holds from the first sample on. The velocity
+    is that of the first GPS receiver, of the autopilot's filter only where that never had a fix.
+    Temperature is the IMU's own (`T` or `Temp`, 0 is none). SIM, where a simulator wrote
     it, is truth. `progress` is called with the share read, 0 to 1.
     """
     path = Path(path)
     log = read_tables(path, progress)
     offsets, imu = _imu_readings(path, log)
     _attach_magnetometer(log, offsets, imu)
-    parts = [(offsets, imu), _airspeed_readings(log), _velocity_readings(log)]
+    velocity, doubts = _velocity_readings(log)
+    parts = [(offsets, imu), _airspeed_readings(log), velocity, _trim_readings(log, offsets, imu)]
     order = np.argsort(np.concatenate([at for at, _ in parts]), kind="stable")
     readings = np.concatenate([rows for _, rows in parts])[order]
     heartbeat = _rows(readings["time_ns"][:1], Kind.HEARTBEAT)
@@ -54,7 +66,7 @@ def read_dataflash(path: str | Path, progress: Callable[[float], None] | None = 
         references=_references(log),
         message_counts=log.counts(),
         damaged=log.damaged,
-        notes=_notes(log, imu),
+        notes=(*_notes(log, imu), *trim_notes(readings), *doubts),
     )
 
 
@@ -93,12 +105,14 @@ class _Table:
         return np.stack([self.column(field) for field in fields], axis=-1)
 
 
-def _table(log: DataFlashFile, name: str, fields: tuple[str, ...]) -> _Table | None:
+def _table(
+    log: DataFlashFile, name: str, fields: tuple[str, ...], clocks: tuple[str, ...] = _CLOCKS
+) -> _Table | None:
     """Return the table of `name` if it has records, a time and all of `fields`."""
     if not len(log.offsets_of(name)):
         return None
     present = log.layouts[name].dtype.names or ()
-    time_field = next((field for field in _TIMES if field in present), None)
+    time_field = next((field for field in clocks if field in present), None)
     if time_field is None or set(fields) - set(present):
         return None
     table = _Table(log, name, time_field)
@@ -153,18 +167,61 @@ def _airspeed_readings(log: DataFlashFile) -> tuple[Integers, Rows]:
             rows = _rows(table.time_ns, Kind.AIRSPEED)
             rows["airspeed_m_s"] = table.column(field)
             return table.offsets, rows
-    return np.zeros(0, np.int64), empty(READING_DTYPE, 0)
+    return _NONE
 
 
-def _velocity_readings(log: DataFlashFile) -> tuple[Integers, Rows]:
+def _velocity_readings(log: DataFlashFile) -> tuple[tuple[Integers, Rows], tuple[str, ...]]:
+    """Return the velocities over ground, and a note where the only one there is was left out."""
+    gps = _table(log, "GPS", ("Status", "Spd", "GCrs"), _GPS_CLOCKS)
+    fixed = np.zeros(0, np.bool_) if gps is None else gps.column("Status") >= LEAST_FIX
+    if gps is not None and fixed.any():
+        rows = _rows(gps.time_ns, Kind.GPS)
+        down = gps.column("VZ") if "VZ" in gps.fields else np.zeros(len(rows))
+        # A receiver that does not measure the vertical leaves 0 there.
+        down = down if down[fixed].any() else np.full(len(rows), np.nan)
+        velocity = velocity_columns(gps.column("Spd"), gps.column("GCrs"), down)
+        rows["velocity_ned_m_s"] = velocity
+        return (gps.offsets[fixed], rows[fixed]), ()
     fields = ("VN", "VE", "VD")
     for name in _VELOCITIES:
         table = _table(log, name, fields)
-        if table is not None:
-            rows = _rows(table.time_ns, Kind.VELOCITY)
-            rows["velocity_ned_m_s"] = table.columns(fields)
-            return table.offsets, rows
-    return np.zeros(0, np.int64), empty(READING_DTYPE, 0)
+        if table is None:
+            continue
+        rows = _rows(table.time_ns, Kind.VELOCITY)
+        rows["velocity_ned_m_s"] = table.columns(fields)
+        fastest = np.fmax.reduce(np.linalg.norm(rows["velocity_ned_m_s"], axis=1), initial=0.0)
+        if fastest < _FASTEST_M_S:
+            return (table.offsets, rows), ()
+        return _NONE, (
+            f"velocity of {name} not used: it runs to {fastest:.0f} m/s, so that filter diverged",
+        )
+    return _NONE, ()
+
+
+def _trim_readings(log: DataFlashFile, imu_offsets: Integers, imu: Rows) -> tuple[Integers, Rows]:
+    """Return the trims; the first value of each goes before all, however late it was written."""
+    fields = ("Name", "Value")
+    layout = log.layouts.get("PARM")
+    if layout is None or set(fields) - set(layout.dtype.names or ()):
+        return _NONE
+    table, offsets = log.table("PARM"), log.offsets_of("PARM")
+    found = [
+        (offset, trim)
+        for offset, name, value in zip(
+            offsets.tolist(), table["Name"].tolist(), table["Value"].tolist(), strict=False
+        )
+        if (trim := trim_of_parameter(name, value)) is not None
+    ]
+    if not found:
+        return _NONE
+    trims = np.array([trim for _, trim in found])
+    at = np.array([offset for offset, _ in found])
+    for axis in np.isfinite(trims).T:
+        at[np.flatnonzero(axis)[:1]] = -1
+    before = np.maximum(np.searchsorted(imu_offsets, at) - 1, 0)
+    rows = _rows(imu["time_ns"][before], Kind.TRIM)
+    rows["trim_rad"] = trims
+    return at, rows
 
 
 def _references(log: DataFlashFile) -> tuple[AttitudeReference, ...]:

@@ -42,6 +42,23 @@ CRC_EXTRA: Final = _crc_extra()
 """CRC_EXTRA [message id], -1 where the dialect has no such message."""
 
 
+_SINGLE_CHARS: Final[dict[int, tuple[str, ...]]] = {
+    msgid: tuple(
+        f"_{name}_raw"
+        for name, kind, length in zip(
+            message.ordered_fieldnames,
+            message.native_format.decode().lstrip("<"),
+            message.array_lengths,
+            strict=True,
+        )
+        if kind == "c" and length == 0
+    )
+    for msgid, message in dialect.mavlink_map.items()
+    if "c" in message.unpacker.format
+}
+"""Fields of one character, by message id."""
+
+
 class Encoder:
     """Messages to MAVLink 2 frames of one component, with its own sequence number."""
 
@@ -51,6 +68,9 @@ class Encoder:
 
     def pack(self, message: Any) -> bytes:
         """Return the frame of `message`, signed if there is a signer."""
+        for name in _SINGLE_CHARS.get(message.get_msgId(), ()):
+            # pymavlink decodes the character NUL to none at all, which it cannot pack again.
+            setattr(message, name, getattr(message, name) or b"\0")
         frame: bytes = message.pack(self._link)
         self._link.seq = (self._link.seq + 1) % 256
         return frame if self._signer is None else self._signer.sign(frame)

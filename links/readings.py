@@ -1,8 +1,8 @@
-"""From MAVLink messages to readings: one table of rules, read by message and by column."""
+"""From MAVLink messages to readings, by message and by column, as links.reading_rules says."""
 
+import math
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
@@ -13,100 +13,18 @@ import numpy.typing as npt
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.records import READING_DTYPE, Floats, ImuSource, Kind, Rows, empty
 from links.errors import RecordingError
+from links.gps_velocity import course_is_doubtful, course_likeness
+from links.reading_rules import ACCEL, GYRO, RULES, Conversion, Part, Rule
 from links.recording import Recording
 from links.references import attitude_references
+from links.session_marks import read_marks
 from links.tlog import Key, TlogFile, read_tlog
+from links.vehicle_trim import trim_notes
 
-_MG: Final = 1e-3 * STANDARD_GRAVITY_M_S2
-_UT_PER_GAUSS: Final = 100.0
 _TIME_LIMIT_NS: Final = 2**63 - 1
 _ALL_UPDATED: Final = 0xFFFF
 _NAN: Final = float("nan")
 
-
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """Message fields that fill one field of a reading: value * scale.
-
-    `bits` of `fields_updated` must all be set, else NaN; with `zero_is_none` all-zero is NaN.
-    """
-
-    into: str
-    fields: tuple[str, ...]
-    scale: float = 1.0
-    bits: int = 0
-    zero_is_none: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class _Rule:
-    """How one message becomes a reading.
-
-    `sources` by the message's `id` (a higher id gives no reading), `time` field and [ns] per unit.
-    """
-
-    kind: Kind
-    parts: tuple[_Part, ...] = ()
-    time: tuple[str, int] | None = None
-    sources: tuple[ImuSource, ...] = (ImuSource.NONE,)
-    has_id: bool = False
-    has_updated: bool = False
-    is_heartbeat: bool = False
-
-
-_ACCEL = ("xacc", "yacc", "zacc")
-_GYRO = ("xgyro", "ygyro", "zgyro")
-_MAG = ("xmag", "ymag", "zmag")
-
-_HIGHRES_PARTS: Final = (
-    _Part("gyro_rad_s", _GYRO, bits=0x38),
-    _Part("accel_m_s2", _ACCEL, bits=0x07),
-    _Part("mag_ut", _MAG, _UT_PER_GAUSS, bits=0x1C0, zero_is_none=True),
-    _Part("temperature_degc", ("temperature",), bits=0x1000, zero_is_none=True),
-)
-_INT16_PARTS: Final = (
-    _Part("gyro_rad_s", _GYRO, 1e-3),
-    _Part("accel_m_s2", _ACCEL, _MG),
-    _Part("mag_ut", _MAG, 1e-3 * _UT_PER_GAUSS, zero_is_none=True),
-    _Part("temperature_degc", ("temperature",), 1e-2, zero_is_none=True),
-)
-
-
-def _scaled(source: ImuSource) -> _Rule:
-    return _Rule(Kind.IMU, _INT16_PARTS, ("time_boot_ms", 1_000_000), (source,))
-
-
-RULES: Final[dict[str, _Rule]] = {
-    "HEARTBEAT": _Rule(Kind.HEARTBEAT, is_heartbeat=True),
-    "HIGHRES_IMU": _Rule(
-        Kind.IMU,
-        _HIGHRES_PARTS,
-        ("time_usec", 1000),
-        (ImuSource.HIGHRES_IMU, ImuSource.HIGHRES_IMU_1, ImuSource.HIGHRES_IMU_2),
-        has_id=True,
-        has_updated=True,
-    ),
-    "RAW_IMU": _Rule(
-        Kind.IMU, _INT16_PARTS, ("time_usec", 1000), (ImuSource.RAW_IMU,), has_id=True
-    ),
-    "SCALED_IMU": _scaled(ImuSource.SCALED_IMU),
-    "SCALED_IMU2": _scaled(ImuSource.SCALED_IMU2),
-    "SCALED_IMU3": _scaled(ImuSource.SCALED_IMU3),
-    "VFR_HUD": _Rule(Kind.AIRSPEED, (_Part("airspeed_m_s", ("airspeed",)),)),
-    "LOCAL_POSITION_NED": _Rule(
-        Kind.VELOCITY,
-        (_Part("velocity_ned_m_s", ("vx", "vy", "vz")),),
-        ("time_boot_ms", 1_000_000),
-    ),
-}
-"""Messages that carry readings, by name.
-
-RAW_IMU is taken in mG, mrad/s, mgauss, as ArduPilot sends it; `recording_from_tlog` notes where its
-size says that it is raw counts. A message whose accel and gyro are all exactly zero is of an IMU
-that does not exist and gives no reading; nor does one with neither updated. HIGHRES_IMU with
-`fields_updated` 0 comes from senders that do not fill it: all its fields count as updated.
-Source: mavlink.io, common message set.
-"""
 
 _FLOATS: Final = tuple(
     name for name in READING_DTYPE.names or () if READING_DTYPE[name].base == "f8"
@@ -115,14 +33,29 @@ _FIRST_SLOT: Final = {
     name: (READING_DTYPE.fields[name][1] - 16) // 8  # type: ignore[index]
     for name in _FLOATS
 }
-_SLOTS: Final = 14
+_SLOTS: Final = 16
 _ROW: Final = struct.Struct(f"<qq{_SLOTS}d6B2x")
 _NO_VALUES: Final = [_NAN] * _SLOTS
 
 _Writer = Callable[[Any, int, Rows], int]
 
 
-def _values_reader(rule: _Rule) -> Callable[[Any], list[float] | None]:
+def _converter(conversion: Conversion) -> Callable[[Any], list[float] | None]:
+    """Return the function from a message to the reading's floats, None where it has none."""
+    read, first = attrgetter(*conversion.fields), _FIRST_SLOT[conversion.into]
+
+    def values_of(message: Any) -> list[float] | None:
+        found = conversion.values(*read(message))
+        if found is None:
+            return None
+        values = _NO_VALUES.copy()
+        values[first : first + len(found)] = found
+        return values
+
+    return values_of
+
+
+def _values_reader(rule: Rule) -> Callable[[Any], list[float] | None]:
     """Return the function from a message to the reading's floats, None where it has no IMU."""
     names = [name for part in rule.parts for name in part.fields]
     read = attrgetter(*names, *names[:1])
@@ -153,9 +86,11 @@ def _values_reader(rule: _Rule) -> Callable[[Any], list[float] | None]:
     return values_of
 
 
-def _writer(rule: _Rule) -> _Writer:
+def _writer(rule: Rule) -> _Writer:
     """Return the function that writes one message of this kind as a row."""
     values_of = _values_reader(rule) if rule.parts else None
+    if rule.conversion is not None:
+        values_of = _converter(rule.conversion)
     time_of = attrgetter(rule.time[0]) if rule.time else None
     time_unit = rule.time[1] if rule.time else 0
     kind, sources, has_id = int(rule.kind), tuple(map(int, rule.sources)), rule.has_id
@@ -227,12 +162,26 @@ def _from_table(key: Key, table: Rows) -> tuple[Rows, npt.NDArray[np.int32]]:
     rows["source"] = np.array(rule.sources, np.uint8)[np.where(keep, number, 0)]
     for part in rule.parts:
         _fill_part(part, rule, table, rows)
+    if rule.conversion is not None:
+        keep &= _convert(rule.conversion, table, rows)
     if rule.kind == Kind.IMU:
-        keep &= np.any([table[name] != 0 for name in (*_GYRO, *_ACCEL)], axis=0)
+        keep &= np.any([table[name] != 0 for name in (*GYRO, *ACCEL)], axis=0)
     if rule.has_updated:
         updated = _updated(table)
         keep &= (updated & 0x07 == 0x07) | (updated & 0x38 == 0x38)
     return rows[keep], table["frame_index"][keep]
+
+
+def _convert(conversion: Conversion, table: Rows, rows: Rows) -> npt.NDArray[np.bool_]:
+    """Fill one field by the function that takes messages, so that not even a last bit differs."""
+    keep = np.zeros(len(table), np.bool_)
+    columns = (table[name].tolist() for name in conversion.fields)
+    for n, fields in enumerate(zip(*columns, strict=True)):
+        found = conversion.values(*fields)
+        if found is not None:
+            rows[conversion.into][n, : len(found)] = found
+            keep[n] = True
+    return keep
 
 
 def _updated(table: Rows) -> npt.NDArray[np.uint16]:
@@ -240,7 +189,7 @@ def _updated(table: Rows) -> npt.NDArray[np.uint16]:
     return np.where(updated == 0, np.uint16(_ALL_UPDATED), updated)
 
 
-def _fill_part(part: _Part, rule: _Rule, table: Rows, rows: Rows) -> None:
+def _fill_part(part: Part, rule: Rule, table: Rows, rows: Rows) -> None:
     values: Floats = np.stack([table[name] for name in part.fields], axis=1).astype(np.float64)
     values *= part.scale
     absent = np.zeros(len(table), np.bool_)
@@ -268,15 +217,40 @@ def recording_from_tlog(
             f"{tlog.path}: holds no IMU message (HIGHRES_IMU, SCALED_IMU, RAW_IMU) with values; "
             f"it has {found or 'none known'}; record again with one of them switched on"
         )
+    references = attitude_references(tlog, readings, frame_index)
+    readings, doubts = _without_doubtful_courses(tlog, readings)
     return Recording(
         path=tlog.path,
         format="tlog",
         readings=readings,
-        references=attitude_references(tlog, readings, frame_index),
+        references=references,
         message_counts=counts,
         damaged={name: count for name, count in tlog.damaged.items() if count},
-        notes=_notes(readings),
+        notes=(*_notes(readings), *trim_notes(readings), *doubts),
     )
+
+
+def _without_doubtful_courses(tlog: TlogFile, readings: Rows) -> tuple[Rows, tuple[str, ...]]:
+    """Leave out the GPS velocity of vehicles whose course does not follow their positions.
+
+    A recording of this service keeps it: it must replay as the session was.
+    """
+    notes = []
+    for key in tlog.tables:
+        likeness = course_likeness(tlog.tables[key]) if key[2] == "GPS_RAW_INT" else math.nan
+        if not course_is_doubtful(likeness):
+            continue
+        own = next(read_marks(tlog.tables), None) is not None
+        if not own:
+            readings = readings.copy()
+            theirs = (readings["system"] == key[0]) & (readings["component"] == key[1])
+            readings["velocity_ned_m_s"][theirs & (readings["kind"] == Kind.GPS)] = np.nan
+        notes.append(
+            f"GPS_RAW_INT of {key[0]}/{key[1]}: its course does not follow its positions (mean "
+            f"cosine {likeness:.2f}; cog in other units than centi-degrees?); the GPS velocity is "
+            + ("used as it was when this was recorded" if own else "not used")
+        )
+    return readings, tuple(notes)
 
 
 def _notes(readings: Rows) -> tuple[str, ...]:

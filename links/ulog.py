@@ -13,6 +13,7 @@ from pyulog import ULog
 
 from ahrs_service.records import READING_DTYPE, ImuSource, Kind, Rows, empty
 from links.errors import RecordingError
+from links.gps_velocity import LEAST_FIX
 from links.recording import AttitudeReference, Recording
 
 Floats = npt.NDArray[np.float64]
@@ -29,6 +30,7 @@ _TEMPERATURES: Final = (
     ("vehicle_imu_status", "temperature_gyro", "gyro_device_id"),
     ("vehicle_imu_status", "temperature_accel", "accel_device_id"),
 )
+_GPS: Final = ("vehicle_gps_position", "sensor_gps")
 _AIRSPEEDS: Final = (
     ("airspeed_validated", "calibrated_airspeed_m_s"),
     ("airspeed", "indicated_airspeed_m_s"),
@@ -51,7 +53,7 @@ def read_ulog(path: str | Path, progress: Callable[[float], None] | None = None)
         raise RecordingError(_no_imu(path, tables))
     temperature = _temperature(tables)
     imu = _imu_readings(combined, _magnetometer(tables, combined), temperature)
-    parts = [imu, _airspeed_readings(tables), _velocity_readings(tables)]
+    parts = [imu, _airspeed_readings(tables), _gps_readings(tables), _velocity_readings(tables)]
     readings = np.concatenate([part for part in parts if len(part)])
     readings = readings[np.argsort(readings["time_ns"], kind="stable")]
     heartbeat = _rows(readings["time_ns"][:1], Kind.HEARTBEAT)
@@ -256,6 +258,23 @@ def _airspeed_readings(tables: _Tables) -> Rows:
             rows = _rows(_time_ns(table), Kind.AIRSPEED)
             rows["airspeed_m_s"] = table[column]
             return rows[np.isfinite(rows["airspeed_m_s"])]
+    return empty(READING_DTYPE, 0)
+
+
+def _gps_readings(tables: _Tables) -> Rows:
+    """Return the velocities of the first receiver that had a fix."""
+    for name in _GPS:
+        table = _table(tables, name)
+        fields = ["vel_n_m_s", "vel_e_m_s", "vel_d_m_s"]
+        velocity = None if table is None else _columns(table, fields)
+        if table is None or velocity is None or "fix_type" not in table:
+            continue
+        valid = np.isfinite(velocity).all(axis=1) & (table["fix_type"] >= LEAST_FIX)
+        valid &= table.get("vel_ned_valid", np.ones(len(valid))) != 0
+        if valid.any():
+            rows = _rows(_time_ns(table), Kind.GPS)
+            rows["velocity_ned_m_s"] = velocity
+            return rows[valid]
     return empty(READING_DTYPE, 0)
 
 

@@ -35,6 +35,9 @@ AIDING_FIELDS: Final = [
 ]
 """Fields of the pipeline's state that this module keeps."""
 
+FASTEST_M_S: Final = 60.0
+"""No small UAV is faster over ground: more is a filter that diverged or a receiver that lost
+its satellites [m/s]."""
 VALID_NS: Final = 2_000_000_000
 WIND_SIGMA_M_S: Final = 5.0
 SIGMA_M_S: Final = 0.5
@@ -65,10 +68,15 @@ _FIXED_WING = int(Airframe.FIXED_WING)
 
 @kernel
 def hear_velocity(state: Record, sample: Record) -> None:
-    """Keep a new velocity [3] [m/s]; the same numbers again are no new measurement."""
+    """Keep a new velocity [3] [m/s]; the same numbers again are no new measurement.
+
+    One that cannot be is none.
+    """
     v, known = sample["velocity_ned_m_s"], state["measured_velocity_m_s"]
-    finite = math.isfinite(v[0]) and math.isfinite(v[1])
-    if not finite or (v[0] == known[0] and v[1] == known[1]):
+    down = 0.0 if math.isnan(v[2]) else v[2]
+    # False for what is not finite, too.
+    possible = v[0] * v[0] + v[1] * v[1] + down * down <= FASTEST_M_S**2
+    if not possible or (v[0] == known[0] and v[1] == known[1]):
         return
     for i in range(3):
         known[i] = v[i]

@@ -31,6 +31,9 @@ MOTION_FIELDS: Final = [
 
 DRAG_SHARE: Final = 0.3
 """By how much T may be wrong: size and loading differ within a class."""
+DRAG_LARGE: Final = 4.0
+"""So many sigmas of the class are no velocity any more: a vehicle that is tilted by hand shows
+gravity along its axes, as drag would at some 20 m/s."""
 TRIM_CORRELATION_S: Final = 60.0
 """What the bounds are wrong by, trim and mounting, stays; beside a measured velocity it shows."""
 AIRSPEED_SIGMA_M_S: Final = 2.0
@@ -86,7 +89,8 @@ def bound_velocity(
             level = -STANDARD_GRAVITY_M_S2 if i == 2 else 0.0
             by_drag = -drag_s * (state["turn_force_m_s"][i] / state["turn_force_s"] - level)
             expected += by_drag
-            sigma = math.sqrt(sigma * sigma + (DRAG_SHARE * by_drag) ** 2)
+            large = by_drag * by_drag / (DRAG_LARGE * sigma)
+            sigma = math.sqrt(sigma * sigma + (DRAG_SHARE * by_drag) ** 2 + large * large)
             h[ACCEL_BIAS + i] = -drag_s
         if measured:
             correlation_s = max(correlation_s, TRIM_CORRELATION_S)

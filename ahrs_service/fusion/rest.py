@@ -22,7 +22,7 @@ REST_FIELDS: Final = [
 
 AVERAGE_S: Final = 0.5
 CONFIRM_S: Final = 1.0
-FORCE_SIGMA_M_S2: Final = 0.3
+FORCE_SIGMA_M_S2: Final = 0.12
 """An idle engine or a hand on the wing shake more than this [m/s^2]."""
 RATE_RAD_S: Final = 0.1
 FORCE_ERROR_M_S2: Final = 0.5
@@ -30,7 +30,9 @@ MOVING_AIRSPEED_M_S: Final = 6.0
 """Gusts on a pitot tube of a standing vehicle stay below this [m/s]."""
 MOVING_SPEED_M_S: Final = 2.0
 """And the noise of a velocity by satellites below this [m/s]."""
-MOVING_SIGMA: Final = 5.0
+MOVING_SIGMA: Final = 3.0
+STILL_S: Final = 20.0
+"""Nothing flies so long without a shake, whatever velocity is thought [s]."""
 WIND_SIGMA_M_S: Final = 5.0
 """Velocity is that over ground at rest and through the air in flight; the wind lies between."""
 VELOCITY_SIGMA_M_S: Final = 0.1
@@ -90,6 +92,8 @@ def _moves(state: Record) -> bool:
         measured = state["measured_velocity_m_s"]
         if measured[0] * measured[0] + measured[1] * measured[1] > MOVING_SPEED_M_S**2:
             return True
+    if state["rest_s"] > STILL_S:
+        return False
     for i in range(3):
         velocity = state["velocity_ned_m_s"][i]
         variance = state["covariance"][VELOCITY + i, VELOCITY + i]

@@ -114,7 +114,8 @@ def test_the_summary_tells_the_truth(flight):
     assert summary.duration_s == pytest.approx(11.99)
     assert summary.message_counts == {"HEARTBEAT": 24, "HIGHRES_IMU": 1200, "ATTITUDE": 240}
     assert summary.reference == "ATTITUDE"
-    assert summary.comparison.roll.max < np.radians(1.0)
+    # A fixed wing that rolls in place and never flies.
+    assert summary.comparison.roll.max < np.radians(4.0)
     assert summary.comparison.roll.max > 0.0
     assert summary.heading == "free"
     assert np.isnan(summary.temperature_min_degc)
@@ -322,7 +323,7 @@ def test_other_logs_become_a_tlog_that_replays_alike(name, shared, tmp_path):
     log, tlog = replay_log(path), replay_log(out)
     np.testing.assert_array_equal(tlog.estimates["time_ns"], log.estimates["time_ns"])
     ours, theirs = tlog.estimates["ned_from_body"], log.estimates["ned_from_body"]
-    assert np.abs((ours * theirs).sum(axis=1)).min() > 1.0 - 1e-6
+    assert np.abs((ours * theirs).sum(axis=1)).min() > 1.0 - 5e-6
     assert tlog.summary.comparison.roll.sigma == pytest.approx(
         log.summary.comparison.roll.sigma, abs=1e-3
     )
