@@ -179,6 +179,12 @@ def test_over_a_short_gap_it_reaches_back(flights):
     assert after < before
 
 
+def test_the_bias_that_the_alignment_found_holds_from_the_first_sample():
+    causal, smoothed = smooth(Settings(), IDEAL, resting(10.0, bias=(0.05, -0.03, 0.02)))
+    assert (abs(causal["gyro_bias_rad_s"][10]) < 0.01).all()
+    np.testing.assert_allclose(smoothed["gyro_bias_rad_s"][10], (0.05, -0.03, 0.02), atol=0.005)
+
+
 def test_a_bias_that_steps_at_rest_is_not_told_to_the_time_before():
     samples = resting(120.0)
     step, n = 0.03, 6000

@@ -3,10 +3,20 @@
 import numpy as np
 import pytest
 
+from ahrs_service import pipeline
 from ahrs_service.fusion import mekf, smoother
-from ahrs_service.fusion.states import AIDED, ERROR_STATES, GATED, GYRO_BIAS, UNAIDED
+from ahrs_service.fusion.states import (
+    AIDED,
+    ERROR_STATES,
+    GATED,
+    GYRO_BIAS,
+    UNAIDED,
+    VELOCITY,
+    WIND,
+)
 from ahrs_service.fusion.tape import CHAINED, NODE_DTYPE, START
 from ahrs_service.records import ESTIMATE_DTYPE, empty
+from ahrs_service.rotation import multiply_columns
 
 SMALL = 1e-7
 """Angles so small that turns about different axes add."""
@@ -14,23 +24,36 @@ LOWER = np.tril_indices(ERROR_STATES)
 
 
 class Problem:
-    """x' = F x + noise, y = H x + noise, from a known covariance, over few turns."""
+    """x' = F x + noise, y = H x + noise, from a known covariance, over few turns.
 
-    def __init__(self, states, turns, seed):
+    With `wind_at` the velocity before that node is the one through the air, after it the one over
+    ground; only then wind and lag are states of the filter.
+    """
+
+    def __init__(self, states, turns, seed, wind_at=0):
         rng = np.random.default_rng(seed)
-        self.n, self.rng = states, rng
+        self.n, self.rng, self.wind_at = states, rng, wind_at
         self.start = np.diag(rng.uniform(0.5, 2.0, states)) * SMALL**2
         self.ways, self.noises, self.measured = [], [], []
         for _ in range(turns):
             rotation_s, rate, impulse = rng.normal(size=(3, 3)), *rng.normal(size=(2, 3))
             self.ways.append((rotation_s, rate, impulse))
-            self.noises.append(rng.uniform(0.0, 0.3, states) * SMALL**2)
+            noise = rng.uniform(0.0, 0.3, states) * SMALL**2
+            # The same along north and east, so that it is the same in turned axes.
+            for n in (1, VELOCITY + 1, WIND + 1):
+                if n < states:
+                    noise[n] = noise[n - 1]
             h = rng.normal(size=(2, states))
+            if len(self.ways) <= wind_at:
+                noise[UNAIDED:] = h[:, UNAIDED:] = 0.0
+            self.noises.append(noise)
             self.measured.append((h, rng.normal(size=2) * SMALL, 0.1 * SMALL**2))
 
-    def transition(self, way):
+    def transition(self, way, turn=0):
         f = np.zeros((ERROR_STATES, ERROR_STATES))
         np.fill_diagonal(f, 1.0)
+        if self.wind_at and turn == self.wind_at:
+            f[VELOCITY, WIND] = f[VELOCITY + 1, WIND + 1] = 1.0
         mekf.turn_rows(f, self.n, *way)
         return f[: self.n, : self.n]
 
@@ -41,7 +64,7 @@ class Problem:
         joint = np.zeros((size, size))
         joint[:n, :n] = self.start
         for k, (way, noise) in enumerate(zip(self.ways, self.noises, strict=True)):
-            f, now, new = self.transition(way), k * n, (k + 1) * n
+            f, now, new = self.transition(way, k), k * n, (k + 1) * n
             joint[new : new + n, :new] = f @ joint[now : now + n, :new]
             joint[:new, new : new + n] = joint[new : new + n, :new].T
             joint[new : new + n, new : new + n] = f @ joint[now:new, now:new] @ f.T + np.diag(noise)
@@ -61,17 +84,24 @@ class Problem:
         nodes, rows = np.zeros(turns + 2, NODE_DTYPE), empty(ESTIMATE_DTYPE, turns + 1)
         x, p = np.zeros(n), self.start
         self._leave(nodes[1], rows[0], 0, x, p, np.zeros(n))
+        into_wind = np.eye(n)
+        if self.wind_at:
+            into_wind[[VELOCITY, VELOCITY + 1], [WIND, WIND + 1]] = 1.0
         nodes[1]["kind"] = START
         for k, (way, noise) in enumerate(zip(self.ways, self.noises, strict=True)):
+            # The filter brings the wind into the velocity as soon as it knows of one.
             f, node = self.transition(way), nodes[k + 2]
             x, p = f @ x, f @ p @ f.T + np.diag(noise)
-            node["kind"], node["states_before"] = CHAINED, n
+            node["kind"], node["in_wind"] = CHAINED, 1
+            node["states_before"] = n if k >= self.wind_at else UNAIDED
             node["rotation_s"], node["rate_rad_s"], node["impulse_m_s"] = way
             node["variance"][:n] = np.diag(p)
             h, y, r = self.measured[k]
             gain = np.linalg.solve(h @ p @ h.T + r * np.eye(2), h @ p).T
             correction = gain @ (y - h @ x)
             x, p = x + correction, p - gain @ h @ p
+            if k + 1 == self.wind_at:
+                p = into_wind @ p @ into_wind.T
             self._leave(node, rows[k + 1], k + 1, x, p, correction)
         return nodes, rows
 
@@ -79,10 +109,12 @@ class Problem:
         n = self.n
         # Part of a correction may come late, as the magnetometer's does between two turns.
         share = self.rng.uniform()
-        node["sample"], node["states"] = sample, n
+        node["sample"], node["states"] = sample, n if sample >= self.wind_at else UNAIDED
         node["applied"][:n], node["late"][:n] = share * correction, (1.0 - share) * correction
         whole = np.zeros((ERROR_STATES, ERROR_STATES))
         whole[:n, :n] = p
+        if node["states"] < n:
+            whole[UNAIDED:] = whole[:, UNAIDED:] = 0.0
         node["covariance"] = whole[LOWER]
         held = x - node["late"][:n]
         row["time_ns"] = sample * 50_000_000
@@ -105,6 +137,88 @@ def test_the_way_back_finds_what_one_dense_solution_finds(states, seed):
     variances = np.diagonal(covariances, axis1=1, axis2=2)
     np.testing.assert_allclose(rows["attitude_sigma_rad"] ** 2, variances[:, :3], rtol=1e-6)
     np.testing.assert_allclose(rows["gyro_bias_sigma_rad_s"] ** 2, variances[:, 3:6], rtol=1e-6)
+
+
+def test_the_wind_that_is_found_later_parts_from_the_velocity_before():
+    problem = Problem(AIDED, 6, 5, wind_at=3)
+    nodes, rows = problem.tape()
+    smoother.smooth(nodes, len(nodes), rows)
+    expected, covariances = problem.dense()
+    np.testing.assert_allclose(
+        2.0 * rows["ned_from_body"][:, 1:], expected[:, :3], atol=1e-5 * SMALL
+    )
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
+    np.testing.assert_allclose(rows["attitude_sigma_rad"] ** 2, variances[:, :3], rtol=1e-6)
+
+
+def turned_about_down(angle):
+    """Matrix [3, 3] of the turn and the one [n, n] of all error states."""
+    c, s = np.cos(angle), np.sin(angle)
+    turn, whole = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.eye(ERROR_STATES)
+    for n in (0, VELOCITY, WIND):
+        whole[n : n + 2, n : n + 2] = turn[:2, :2]
+    return turn, whole
+
+
+def covariance_of(node):
+    p = np.zeros((ERROR_STATES, ERROR_STATES))
+    p[LOWER] = node["covariance"]
+    return p + np.tril(p, -1).T
+
+
+@pytest.mark.parametrize("k", [1, 4])
+def test_what_was_in_other_axes_before_a_heading_was_found_is_turned_to_north(k):
+    """The same tape, up to node k told in axes turned by -angle."""
+    angle = 2.0
+    nodes, rows = Problem(AIDED, 6, 6).tape()
+    other, other_rows = nodes.copy(), rows.copy()
+    turn, whole = turned_about_down(-angle)
+    for n in range(1, k + 3):
+        node = other[n]
+        node["rotation_s"] = turn @ node["rotation_s"]
+        node["impulse_m_s"] = turn @ node["impulse_m_s"]
+        if n == k + 2:
+            break
+        for name in ("applied", "late"):
+            node[name] = whole @ node[name]
+        node["covariance"] = (whole @ covariance_of(node) @ whole.T)[LOWER]
+        q = other_rows["ned_from_body"][n - 1]
+        back = (np.cos(-0.5 * angle), 0.0, 0.0, np.sin(-0.5 * angle))
+        other_rows["ned_from_body"][n - 1] = multiply_columns(back, q)
+    other[k + 2]["turned_rad"] = angle
+    for n in range(2, k + 3):
+        _predict(other[n], other[n - 1], nodes[n], nodes[n - 1])
+    smoother.smooth(nodes, len(nodes), rows)
+    smoother.smooth(other, len(other), other_rows)
+    np.testing.assert_allclose(
+        2.0 * other_rows["ned_from_body"][:, 1:],
+        2.0 * rows["ned_from_body"][:, 1:],
+        atol=1e-5 * SMALL,
+    )
+    np.testing.assert_allclose(
+        other_rows["gyro_bias_sigma_rad_s"], rows["gyro_bias_sigma_rad_s"], rtol=1e-6
+    )
+
+
+def _predict(turned, turned_before, node, before):
+    """Bring the variances predicted at `node` to `turned`, whose noise is the same."""
+    predicted = []
+    for one, start in ((node, before), (turned, turned_before)):
+        p = covariance_of(start)
+        mekf.propagate(p, AIDED, one["rotation_s"], one["rate_rad_s"], one["impulse_m_s"])
+        predicted.append(np.diag(p))
+    turned["variance"] = node["variance"] - predicted[0] + predicted[1]
+
+
+def test_corrections_and_a_turn_about_down_after_them_add_up():
+    state = pipeline.new_state()[0]
+    state["states"] = AIDED
+    correction = np.linspace(0.01, 0.24, ERROR_STATES)
+    mekf.apply_correction(state, correction)
+    mekf.turn_about_down(state, 0.7)
+    _, whole = turned_about_down(0.7)
+    np.testing.assert_allclose(state["applied"], whole @ correction, atol=1e-15)
+    assert state["turned_rad"] == 0.7
 
 
 def test_states_without_variance_take_no_part():
