@@ -150,7 +150,8 @@ def test_kernels_are_strict():
 
 
 def test_the_sources_speak_of_no_machine():
-    for path in [*MODULES, ROOT / "README.md", *sorted((ROOT / "configs").iterdir())]:
+    configs = sorted(path for path in (ROOT / "configs").rglob("*") if path.is_file())
+    for path in [*MODULES, ROOT / "README.md", *configs]:
         text = path.read_text(encoding="utf-8")
         for folder in (ROOT.parent, Path.home(), Path(sys.prefix)):
             assert f"{folder}/" not in text, f"{name_of(path)}: {folder}"

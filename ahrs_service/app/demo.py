@@ -67,9 +67,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise config_file.ConfigError(
             f"--scenario {arguments.scenario}: choose one of {', '.join(SCENARIOS)}"
         )
-    config_file.load(None, arguments.overrides)
+    settings = options.settings_of(arguments)
     files = _files(arguments.out)
-    settings = _settings(arguments.overrides, files)
+    settings = _with_places(settings, files)
     console.print("[dim]compiling kernels (some seconds on the first start)[/]")
     try:
         flown = asyncio.run(_fly(settings, arguments, console))
@@ -111,8 +111,7 @@ def _free_port(kind: socket.SocketKind, wanted: int = 0) -> int:
     raise config_file.ConfigError("no free port on the loopback interface")
 
 
-def _settings(overrides: list[str], files: Path) -> Settings:
-    settings = config_file.load(None, overrides)
+def _with_places(settings: Settings, files: Path) -> Settings:
     link = dataclasses.replace(settings.link, uri=f"udpin:{_HOST}:{_free_port(socket.SOCK_DGRAM)}")
     recorder = dataclasses.replace(settings.recorder, directory=str(files / "flight.tlog"))
     viewer = dataclasses.replace(

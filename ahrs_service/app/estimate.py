@@ -20,16 +20,16 @@ import math
 import zipfile
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
 from ahrs_service import pipeline
-from ahrs_service.app import config_file, options
+from ahrs_service.app import options
 from ahrs_service.records import (
     ESTIMATE_DTYPE,
     SAMPLE_DTYPE,
@@ -46,15 +46,6 @@ from ahrs_service.smoothing import Smoother
 from links.errors import RecordingError
 
 EXIT_DONE: Final = 0
-PROFILES: Final[dict[str, Literal["fixed_wing", "multirotor", "hand_held", "other"]]] = {
-    "fixed_wing": "fixed_wing",
-    "multirotor": "multirotor",
-    "hand_held": "hand_held",
-    "ground_test": "other",
-    "other": "other",
-}
-"""Profile and the setting fusion.airframe that it stands for."""
-
 _CHUNK: Final = 1 << 15
 _FASTEST_HZ: Final = 1e6
 _LONGEST_S: Final = 1e9
@@ -269,11 +260,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ahrs-service estimate`."""
     parser.add_argument("--in", dest="source", type=Path, required=True, metavar="IN.npz")
     parser.add_argument("--out", type=Path, required=True, metavar="OUT.npz")
-    parser.add_argument(
-        "--profile",
-        choices=list(PROFILES),
-        help="how the vehicle moves (default: other, or as fusion.airframe says)",
-    )
     parser.add_argument("--frame", choices=["frd", "flu"], default="frd", help="default: frd")
     parser.add_argument(
         "--offline", action="store_true", help="smooth: not causal, for reference-grade attitude"
@@ -283,10 +269,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Estimate the attitude of one file; return the exit code."""
-    settings = config_file.load(args.config, args.overrides)
-    if args.profile is not None:
-        fusion = replace(settings.fusion, airframe=PROFILES[args.profile])
-        settings = replace(settings, fusion=fusion)
+    settings = options.settings_of(args)
     if args.out.exists() and args.source.exists() and args.out.samefile(args.source):
         raise RecordingError(f"{args.out}: is the input itself; give --out another file")
     columns = read_columns(args.source)

@@ -3,9 +3,19 @@
 import argparse
 import math
 
+from ahrs_service.app import config_file, profiles
+from ahrs_service.settings import Settings
+
 
 def add_settings(parser: argparse.ArgumentParser, with_file: bool = True) -> None:
-    """Add `--set` (as `overrides`) and, with `with_file`, `--config`."""
+    """Add `--profile`, `--set` (as `overrides`) and, with `with_file`, `--config`."""
+    parser.add_argument(
+        "--profile",
+        metavar="NAME",
+        help=f"how the vehicle moves: {', '.join(profiles.names())}, or a {profiles.SUFFIX} file "
+        "like those in configs/airframes (default: by the vehicle type on the link, else unknown); "
+        "--config and --set change what it says",
+    )
     if with_file:
         parser.add_argument("--config", metavar="FILE", help="settings as TOML, see configs/")
     parser.add_argument(
@@ -16,6 +26,18 @@ def add_settings(parser: argparse.ArgumentParser, with_file: bool = True) -> Non
         default=[],
         help="change one setting, as gate.norm_m_s2=0.4; may be given several times",
     )
+
+
+def has_settings(arguments: argparse.Namespace) -> bool:
+    """Return whether any setting was given."""
+    files = (arguments.profile, getattr(arguments, "config", None))
+    return bool(arguments.overrides) or any(file is not None for file in files)
+
+
+def settings_of(arguments: argparse.Namespace) -> Settings:
+    """Return the settings of a profile, above it those of a file, above it those of `--set`."""
+    path = getattr(arguments, "config", None)
+    return config_file.load(path, arguments.overrides, arguments.profile)
 
 
 def positive(text: str) -> float:

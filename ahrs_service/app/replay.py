@@ -12,7 +12,8 @@ With --smooth what came later corrects what was before: reference-grade attitude
 The tables show both, the files hold the smoothed attitude, the digest is that of the estimates
 before, so that it still can be compared.
 
-A recording made by this service carries its settings; they hold unless --config or --set is given.
+A recording made by this service carries its settings; they hold unless --profile,
+--config or --set is given.
 """
 
 import argparse
@@ -28,7 +29,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from ahrs_service.app import config_file, options
+from ahrs_service.app import options
 from ahrs_service.app.export import write_csv, write_parquet
 from ahrs_service.app.export_rrd import write_recording
 from ahrs_service.app.export_tlog import write_tlog
@@ -86,9 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Replay every log; return 0 if all were, 1 if some were refused or failed."""
-    settings = None
-    if args.config is not None or args.overrides:
-        settings = config_file.load(args.config, args.overrides)
+    settings = options.settings_of(args) if options.has_settings(args) else None
     logs = _logs(args.logs)
     console = Console()
     errors = Console(stderr=True, soft_wrap=True, highlight=False)

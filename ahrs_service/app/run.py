@@ -7,6 +7,7 @@ Examples:
   ahrs-service run --link udpin:127.0.0.1:14550
   ahrs-service run --link serial:/dev/ttyAMA0:921600 --record flights --viewer
   ahrs-service run --config configs/ardupilot.toml --set publish.attitude_rate_hz=100
+  ahrs-service run --config configs/px4.toml --profile fixed_wing
 
 """
 
@@ -57,8 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def settings_from(arguments: argparse.Namespace) -> Settings:
-    """Return the effective settings: file, then --set, then the options."""
-    settings = config_file.load(arguments.config, arguments.overrides)
+    """Return the effective settings: profile, then file, then --set, then the options."""
+    settings = options.settings_of(arguments)
     link, recorder, viewer = settings.link, settings.recorder, settings.viewer
     if arguments.link:
         link = dataclasses.replace(link, uri=arguments.link)

@@ -22,7 +22,7 @@ Estimation. Data 6 (7), 72, 2021. https://doi.org/10.3390/data6070072
 import argparse
 import json
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +40,8 @@ from peers import (
 from rich.console import Console
 from rich.table import Table
 
-from ahrs_service.app.estimate import PROFILES, estimate_columns, read_columns
+from ahrs_service.app import config_file
+from ahrs_service.app.estimate import estimate_columns, read_columns
 from ahrs_service.settings import Settings
 
 PROFILE = "hand_held"
@@ -78,18 +79,14 @@ def read_trial(path: Path) -> Trial:
     return Trial(path, *vectors, float(columns["sampling_rate"]), scored, reference)
 
 
-def _settings(mode: str) -> Settings:
-    settings = Settings()
-    return replace(settings, fusion=replace(settings.fusion, mode=mode, airframe=PROFILES[PROFILE]))
-
-
 def answers(name: str, trial: Trial) -> tuple[Floats, Floats]:
     """Attitudes [N, 4] by six and by nine axes."""
     if name == OFFLINE:
         out = contract.run_estimate(trial.path, PROFILE, "flu", "--offline")
         return out["quat"], out["quat9"]
     if name in OURS:
-        out = estimate_columns(read_columns(trial.path), _settings(OURS[name]), "flu")
+        settings = config_file.load(None, [f"fusion.mode={OURS[name]}"], PROFILE)
+        out = estimate_columns(read_columns(trial.path), settings, "flu")
         return out["quat"], out["quat9"]
     t = np.arange(len(trial.gyr)) / trial.rate_hz
     return (

@@ -27,9 +27,9 @@ def offers(option: str) -> bool:
     return option in said.stdout
 
 
-def profile_of(samples: Rows) -> str:
-    """Profile of the vehicle's class as last heard."""
-    return PROFILE_OF.get(Airframe(int(samples["airframe"][-1])), "other")
+def profile_of(samples: Rows) -> str | None:
+    """Profile of the vehicle's class as last heard; None for one that has none."""
+    return PROFILE_OF.get(Airframe(int(samples["airframe"][-1])))
 
 
 def write_samples(path: Path, samples: Rows, aided: bool) -> None:
@@ -48,14 +48,14 @@ def write_samples(path: Path, samples: Rows, aided: bool) -> None:
     np.savez(path, **fields)  # type: ignore[arg-type]
 
 
-def run_estimate(source: Path, profile: str, frame: str, *more: str) -> dict[str, Any]:
+def run_estimate(source: Path, profile: str | None, frame: str, *more: str) -> dict[str, Any]:
     """Fields of OUT that the process wrote for IN `source`."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.npz"
-        words = ("--in", str(source), "--out", str(out), "--profile", profile, "--frame", frame)
-        done = subprocess.run(
-            [*COMMAND, *words, *more], capture_output=True, text=True, check=False
-        )
+        words = ["--in", str(source), "--out", str(out), "--frame", frame, *more]
+        if profile is not None:
+            words += ["--profile", profile]
+        done = subprocess.run([*COMMAND, *words], capture_output=True, text=True, check=False)
         if done.returncode != 0:
             raise SystemExit(f"{source}: estimate left with {done.returncode}: {done.stderr}")
         with np.load(out) as file:

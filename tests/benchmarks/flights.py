@@ -7,7 +7,8 @@ DIR holds the recordings (default: ../shared/data/flights beside the project): t
 --all every other one too that can be read and has an attitude to compare with. Every log goes
 through the project's reader and intake; what the intake chose is what every algorithm gets. "ours"
 sees gyro and accelerometer only, as the peers do; "ours aided" also the airspeed and the velocity
-over ground that the log has. All get the IMU in the vehicle's axes, by AHRS_TRIM. The error
+over ground that the log has. All get the IMU in the vehicle's axes, by AHRS_TRIM. Ours runs with
+the profile of the vehicle's class (configs/airframes), as its HEARTBEAT says it. The error
 is against the autopilot's own attitude (ahrs_service.comparison has the rules), which is another
 estimate, not the truth (reference_witness.py judges it); for sitl it is the simulator's truth.
 
@@ -22,7 +23,6 @@ import json
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +35,8 @@ from rich.console import Console
 from rich.table import Table
 
 from ahrs_service import pipeline
-from ahrs_service.app.estimate import PROFILES, estimate_columns, read_columns
+from ahrs_service.app import config_file
+from ahrs_service.app.estimate import estimate_columns, read_columns
 from ahrs_service.comparison import Comparison, compare
 from ahrs_service.records import (
     ESTIMATE_DTYPE,
@@ -61,8 +62,7 @@ def ours(samples: Rows, mode: str, aided: bool) -> Rows:
     given["mag_ut"] = np.nan
     if not aided:
         given["airspeed_m_s"] = given["velocity_ned_m_s"] = np.nan
-    settings = Settings()
-    settings = replace(settings, fusion=replace(settings.fusion, mode=mode))
+    settings = config_file.load(None, [f"fusion.mode={mode}"], contract.profile_of(samples))
     estimates = empty(ESTIMATE_DTYPE, len(given))
     pipeline.batch(
         pipeline.parameters(settings),
@@ -145,9 +145,7 @@ def through_contract(flight: Flight) -> dict[str, Any]:
     """Errors [deg] of the command's answers; leave where its bytes are not the function's."""
     samples, reference = flight.samples, flight.reference
     profile = contract.profile_of(samples)
-    settings = Settings()
-    fusion = replace(settings.fusion, airframe=PROFILES[profile])
-    settings = replace(settings, fusion=fusion)
+    settings = config_file.load(profile=profile)
     rows, errors = ours(samples, DEFAULT_MODE, aided=False), {}
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / "in.npz"

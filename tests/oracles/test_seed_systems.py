@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from ahrs_service import pipeline
+from ahrs_service.app.config_file import load
 from ahrs_service.comparison import compare
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2 as G
-from ahrs_service.fusion import gating
 from ahrs_service.records import ESTIMATE_DTYPE, Airframe, Phase, empty
 from ahrs_service.rotation import (
     euler_columns,
@@ -37,7 +37,6 @@ def budget_of(tilt_deg, **values):
     )
 
 
-TABLE_BUDGET = budget_of(3.0, arm_m=SCENARIOS["rate-table"].swing.arm_m)
 # S() as tests/benchmarks/seed_systems.py measures it; R = 18^2 / (g tan(30 deg)).
 FLIGHT_BUDGET = budget_of(
     1.0,
@@ -49,10 +48,12 @@ FLIGHT_BUDGET = budget_of(
 )
 
 
-def estimate(flight, airframe, mode, budget, known):
+def set_to(mode, budget):
+    return Settings(fusion=FusionSettings(mode=mode), gate_budget=budget)
+
+
+def estimate(flight, airframe, settings, known):
     samples = samples_of(flight, airframe)
-    settings = Settings(fusion=FusionSettings(mode=mode), gate_budget=budget)
-    settings = dataclasses.replace(settings, gate=gating.limits(settings))
     estimates = empty(ESTIMATE_DTYPE, len(samples))
     parameters = pipeline.parameters(settings)
     pipeline.batch(parameters, coefficients(known), pipeline.new_state(), samples, estimates)
@@ -66,8 +67,8 @@ def swing():
     @functools.cache
     def run(name, mode, seed):
         flight = make_flight(name, 60.0, seed, RATE_HZ)
-        budget = TABLE_BUDGET if mode == "gated" else GateBudget()
-        return flight, estimate(flight, Airframe.HAND_HELD, mode, budget, flight.calibration)
+        settings = load(None, [f"fusion.mode={mode}"], "ground_test")
+        return flight, estimate(flight, Airframe.OTHER, settings, flight.calibration)
 
     return run
 
@@ -121,7 +122,8 @@ TILT_BUDGET = dataclasses.replace(FLIGHT_BUDGET, acceleration_m_s2=None, tilt_de
 def test_the_seeds_flight_is_as_good_as_the_papers(seed_flight, mode, budget):
     """1-sigma 2.3 deg of roll, 2.5 of pitch from take-off run to landing, 1 in steady flight."""
     rows = seed_flight.rows
-    estimates = estimate(seed_flight, Airframe.FIXED_WING, mode, budget, Calibration.ideal())
+    settings = set_to(mode, budget)
+    estimates = estimate(seed_flight, Airframe.FIXED_WING, settings, Calibration.ideal())
     ends = np.cumsum([phase.seconds for phase in seed_flight.phases])
     whole, steady = (
         compare(estimates, estimates["time_ns"][part], rows["ned_from_body"][part], False)
@@ -141,7 +143,8 @@ def test_a_budget_of_tilt_keeps_the_take_off_run_out_that_one_of_acceleration_le
     """3 m/s^2 along the runway move norm(f) by 0.45 only, less than the paper's width."""
     largest = {}
     for budget in (FLIGHT_BUDGET, TILT_BUDGET):
-        rows = estimate(seed_flight, Airframe.FIXED_WING, "gated", budget, Calibration.ideal())
+        settings = set_to("gated", budget)
+        rows = estimate(seed_flight, Airframe.FIXED_WING, settings, Calibration.ideal())
         error = euler_columns(rows["ned_from_body"]) - euler_columns(
             seed_flight.rows["ned_from_body"]
         )
@@ -151,9 +154,8 @@ def test_a_budget_of_tilt_keeps_the_take_off_run_out_that_one_of_acceleration_le
 
 
 def test_the_budget_keeps_turns_out_and_level_flight_in(seed_flight):
-    estimates = estimate(
-        seed_flight, Airframe.FIXED_WING, "gated", FLIGHT_BUDGET, Calibration.ideal()
-    )
+    settings = set_to("gated", FLIGHT_BUDGET)
+    estimates = estimate(seed_flight, Airframe.FIXED_WING, settings, Calibration.ideal())
     ends = np.cumsum([phase.seconds for phase in seed_flight.phases])[:-1]
     which = np.searchsorted(ends, seed_flight.rows["time_s"])
     opened = (estimates["gate"] == 0) & (estimates["phase"] == Phase.RUNNING)
