@@ -29,7 +29,7 @@ AIDING_FIELDS: Final = [
     ("history_next", "i8"),
     ("matched_time_ns", "i8"),
     ("matched_m_s", "f8", (2, 2)),
-    ("match", "f8", 4),
+    ("match", "f8", 5),
     ("velocity_surprise", "f8"),
     ("course_doubted", "i8"),
 ]
@@ -46,6 +46,8 @@ LAG_SIGMA_S: Final = 0.15
 LAG_MAX_S: Final = 1.0
 SLOPE_NS: Final = 50_000_000
 OUTLIER_SIGMA: Final = 4.0
+TILT_SIGMA_RAD: Final = 0.15
+"""With a tilt less known than that the filter is not linear enough for a velocity [rad]."""
 COURSE_SPEED_M_S: Final = 8.0
 """A fixed wing faster than this flies about where it points [m/s];"""
 COURSE_SIGMA_RAD: Final = 0.35
@@ -57,6 +59,12 @@ MATCH_ENOUGH_M2_S2: Final = 30.0
 MATCH_LIKENESS: Final = 0.85
 """if both velocities changed alike to this correlation."""
 MATCH_SIGMA_RAD: Final = 0.3
+MATCH_COUNT: Final = 4.0
+MATCH_LEFT_M_S: Final = 2.0
+"""A velocity whose changes are not ours to this is not used, after so many of them [m/s]."""
+COMPASS_RAD: Final = 0.5
+"""Where the velocity tells another heading than the compass, it is not used either [rad]."""
+PULLED_RAD: Final = 0.3
 SURPRISE_LIMIT: Final = 8.0
 """Mean square of the innovation in its variances beyond which the heading must be wrong: within
 bounds it is 1, and a single outlier cannot bring it here."""
@@ -102,10 +110,30 @@ def remember(state: Record) -> None:
 
 @kernel
 def break_off(state: Record) -> None:
-    """Forget what was remembered: over a gap nothing lies between."""
+    """Forget what was remembered: over a gap nothing lies between, and the tilt must be found."""
     state["measured_new"] = 0
     for n in range(HISTORY):
         state["history_time_ns"][n] = 0
+    if state["states"] == AIDED:
+        _let_go(state)
+
+
+@kernel
+def _let_go(state: Record) -> None:
+    """Go on with the velocity through the air: that over ground without the wind."""
+    p, velocity, wind = state["covariance"], state["velocity_ned_m_s"], state["wind_ned_m_s"]
+    for i in range(2):
+        v, w = VELOCITY + i, WIND + i
+        for j in range(ERROR_STATES):
+            p[v, j] -= p[w, j]
+        for j in range(ERROR_STATES):
+            p[j, v] -= p[j, w]
+        velocity[i] -= wind[i]
+        wind[i] = 0.0
+    for i in range(5):
+        state["match"][i] = 0.0
+    state["velocity_surprise"] = 0.0
+    state["states"] = UNAIDED
 
 
 @kernel
@@ -152,10 +180,9 @@ def correct_velocity(
     if state["states"] == AIDED:
         slope_per_s = 1e9 / (later_ns - taken_ns) if known else 0.0
         _take(state, correction, h, then, later, slope_per_s)
-    elif state["heading_source"] != heading.NONE:
-        _begin(state, 0.0)
-    else:
-        _find_heading(state, airframe, then)
+    elif mekf.tilt_variance(state["covariance"]) < TILT_SIGMA_RAD**2:
+        _match(state, then)
+        _begin_if_it_agrees(state, airframe)
 
 
 @kernel
@@ -203,28 +230,19 @@ def _begin(state: Record, heading_sigma_rad: float) -> None:
 @kernel
 def _lose_heading(state: Record) -> None:
     """Go on without the measured velocity until it tells a heading that agrees with it."""
-    state["velocity_surprise"] = 0.0
+    _let_go(state)
     state["heading_source"] = heading.NONE
     state["course_doubted"] = 1
-    state["states"] = UNAIDED
     mekf.forget(state["covariance"], ANGLE + 2, math.pi**2)
     for i in range(2):
-        state["velocity_ned_m_s"][i] -= state["wind_ned_m_s"][i]
-        state["wind_ned_m_s"][i] = 0.0
-    for i in range(4):
-        state["match"][i] = 0.0
+        # An attitude that was pulled by what cannot be right is not as good as it thinks.
+        state["covariance"][i, i] += PULLED_RAD**2
 
 
 @kernel
-def _find_heading(state: Record, airframe: int, then: Floats) -> None:
-    """Find the heading by the course, or by how both velocities changed."""
-    v = state["measured_velocity_m_s"]
-    speed2 = v[0] * v[0] + v[1] * v[1]
-    if airframe == _FIXED_WING and speed2 > COURSE_SPEED_M_S**2 and state["course_doubted"] == 0:
-        nose = math.atan2(state["dcm"][1, 0], state["dcm"][0, 0])
-        _turn_to(state, math.atan2(v[1], v[0]) - nose, COURSE_SIGMA_RAD)
-        return
-    match, matched = state["match"], state["matched_m_s"]
+def _match(state: Record, then: Floats) -> None:
+    """Compare how the measured velocity and the filter's changed since the measurement before."""
+    v, match, matched = state["measured_velocity_m_s"], state["match"], state["matched_m_s"]
     span_s = (state["measured_time_ns"] - state["matched_time_ns"]) * 1e-9
     if 0.0 < span_s < MATCH_SPAN_S:
         a, b = v[0] - matched[0, 0], v[1] - matched[0, 1]
@@ -234,13 +252,33 @@ def _find_heading(state: Record, airframe: int, then: Floats) -> None:
         match[1] = kept * (match[1] + b * c - a * d)
         match[2] = kept * (match[2] + a * a + b * b)
         match[3] = kept * (match[3] + c * c + d * d)
+        match[4] = kept * (match[4] + 1.0)
     for i in range(2):
         matched[0, i], matched[1, i] = v[i], then[i]
     state["matched_time_ns"] = state["measured_time_ns"]
-    strength = math.hypot(match[0], match[1])
+
+
+@kernel
+def _begin_if_it_agrees(state: Record, airframe: int) -> None:
+    """Begin to use the velocity where its changes are ours, turned by the heading or as known."""
+    v, match = state["measured_velocity_m_s"], state["match"]
+    strength, angle = math.hypot(match[0], match[1]), math.atan2(match[1], match[0])
+    # What is left of the changes when ours are turned as fits best.
+    left = match[2] + match[3] - 2.0 * strength
+    if match[4] < MATCH_COUNT or left > MATCH_LEFT_M_S**2 * match[4]:
+        return
     alike = strength > MATCH_LIKENESS * math.sqrt(match[2] * match[3])
-    if strength > MATCH_ENOUGH_M2_S2 and alike:
-        _turn_to(state, math.atan2(match[1], match[0]), MATCH_SIGMA_RAD)
+    told = alike and strength > MATCH_ENOUGH_M2_S2
+    if told and state["heading_source"] != heading.NONE and abs(angle) < COMPASS_RAD:
+        _begin(state, 0.0)
+    elif state["heading_source"] == heading.FIELD:
+        return
+    elif told:
+        _turn_to(state, angle, MATCH_SIGMA_RAD)
+    elif airframe == _FIXED_WING and state["course_doubted"] == 0:
+        if v[0] * v[0] + v[1] * v[1] > COURSE_SPEED_M_S**2:
+            nose = math.atan2(state["dcm"][1, 0], state["dcm"][0, 0])
+            _turn_to(state, math.atan2(v[1], v[0]) - nose, COURSE_SIGMA_RAD)
 
 
 @kernel

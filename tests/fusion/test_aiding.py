@@ -1,45 +1,125 @@
-"""What counts as a measured velocity over ground."""
+"""A measured velocity over ground: found its heading and lag, doubted, lost, and let go."""
 
 import numpy as np
 import pytest
 
 from ahrs_service import pipeline
-from ahrs_service.fusion import aiding
-from ahrs_service.records import SAMPLE_DTYPE, empty
+from ahrs_service.fusion import heading, states
+from ahrs_service.records import ESTIMATE_DTYPE, Airframe, empty
+from ahrs_service.rotation import inverse_columns, multiply_columns
+from ahrs_service.sensor.parameters import Calibration, coefficients
+from ahrs_service.settings import Settings
+from ahrs_service.simulation.samples import samples_of
+from ahrs_service.simulation.scenario import make_flight
+
+RATE_HZ = 100
+EVERY = 20
 
 
-def heard(state, *velocity, time_ns=5):
-    sample = empty(SAMPLE_DTYPE)[0]
-    sample["velocity_ned_m_s"], sample["time_ns"] = velocity, time_ns
-    state["measured_new"] = 0
-    aiding.hear_velocity(state, sample)
-    return bool(state["measured_new"])
+@pytest.fixture(scope="module")
+def flight():
+    return make_flight("flight", 90.0, seed=3, rate_hz=RATE_HZ)
 
 
-@pytest.mark.parametrize("down", [np.nan, 0.0, -5.0])
-def test_a_velocity_is_new_until_it_comes_again(down):
-    state = pipeline.new_state()[0]
-    assert heard(state, 30.0, -40.0, down)
-    assert not heard(state, 30.0, -40.0, down)
-    assert heard(state, 30.5, -40.0, down, time_ns=7)
-    np.testing.assert_array_equal(state["measured_velocity_m_s"], [30.5, -40.0, down])
-    assert state["measured_time_ns"] == 7
+def heard(flight, lag_s=0.0, airframe=Airframe.FIXED_WING, turned_rad=0.0, magnetometer=False):
+    """Samples [N] with a receiver's velocity 5 times a second, so late and in axes so turned."""
+    samples = samples_of(flight, airframe, magnetometer=magnetometer).copy()
+    now = np.arange(0, len(samples), EVERY)
+    then = np.maximum(now - round(lag_s * RATE_HZ), 0)
+    north, east = flight.rows["velocity_ned_m_s"][then, :2].T
+    c, s = np.cos(turned_rad), np.sin(turned_rad)
+    samples["velocity_ned_m_s"][now, 0] = c * north - s * east
+    samples["velocity_ned_m_s"][now, 1] = s * north + c * east
+    return samples
 
 
-@pytest.mark.parametrize(
-    "velocity",
-    [
-        (60.1, 0.0, 0.0),
-        (50.0, -40.0, np.nan),
-        (1.0, 2.0, 500.0),
-        (1.0, 2.0, np.inf),
-        (-np.inf, 2.0, 0.0),
-        (np.nan, 2.0, 0.0),
-        (2.0, np.nan, 0.0),
-        (1e200, 1e200, 0.0),
-    ],
-)
-def test_what_no_small_uav_does_is_no_measurement(velocity):
-    state = pipeline.new_state()[0]
-    assert not heard(state, *velocity)
-    assert heard(state, 59.0, 0.0, 0.0)
+def run(samples):
+    state, estimates = pipeline.new_state(), empty(ESTIMATE_DTYPE, len(samples))
+    ideal = coefficients(Calibration.ideal())
+    pipeline.batch(pipeline.parameters(Settings()), ideal, state, samples, estimates)
+    return estimates, state[0]
+
+
+def errors_deg(estimates, truth):
+    """Tilt error and heading error [N] [deg]."""
+    e = multiply_columns(estimates["ned_from_body"], inverse_columns(truth))
+    tilt = 2.0 * np.arccos(np.minimum(np.hypot(e[:, 0], e[:, 3]), 1.0))
+    turn = 2.0 * np.arctan2(e[:, 3], e[:, 0])
+    return np.degrees(tilt), np.degrees(np.arctan2(np.sin(turn), np.cos(turn)))
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(values**2)))
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.1, 0.3])
+def test_the_lag_is_learnt_and_the_attitude_better_for_it(flight, lag_s):
+    truth = flight.rows["ned_from_body"]
+    estimates, state = run(heard(flight, lag_s))
+    alone, _ = run(samples_of(flight, Airframe.FIXED_WING))
+    assert state["states"] == states.AIDED
+    assert state["velocity_lag_s"] == pytest.approx(lag_s, abs=0.06)
+    tilt, turn = errors_deg(estimates, truth)
+    assert rms(tilt[2000:]) < rms(errors_deg(alone, truth)[0][2000:])
+    assert state["heading_source"] == heading.VELOCITY
+    assert rms(turn[6000:]) < 10.0
+    sigma = estimates["attitude_sigma_rad"][6000:, 2]
+    assert np.mean(np.abs(turn[6000:]) < 2.0 * np.degrees(sigma)) > 0.9
+
+
+def test_the_wind_is_told_from_the_airspeed(flight):
+    samples = heard(flight)
+    samples["airspeed_m_s"][::EVERY] = flight.rows["airspeed_m_s"][::EVERY]
+    _, state = run(samples)
+    assert 1.0 < np.hypot(*state["wind_ned_m_s"][:2]) < 7.0
+
+
+def test_without_a_nose_the_heading_comes_from_how_both_velocities_change(flight):
+    """From the middle of the flight, where it turns: no course is taken for a heading."""
+    start = 3000
+    samples = heard(flight, 0.1, Airframe.OTHER)[start:]
+    estimates, state = run(samples)
+    assert state["heading_source"] == heading.VELOCITY
+    _, turn = errors_deg(estimates, flight.rows["ned_from_body"][start:])
+    assert rms(turn[-1000:]) < 20.0
+
+
+def test_a_velocity_in_other_axes_than_the_compass_is_let_go(flight):
+    """The tilt is hardly worse than without, and the service goes on."""
+    truth = flight.rows["ned_from_body"]
+    wrong = heard(flight, turned_rad=2.0, magnetometer=True)
+    estimates, state = run(wrong)
+    alone, _ = run(samples_of(flight, Airframe.FIXED_WING))
+    assert state["states"] == states.UNAIDED
+    assert rms(errors_deg(estimates, truth)[0][2000:]) < 1.5 + 2.0 * rms(
+        errors_deg(alone, truth)[0][2000:]
+    )
+
+
+def test_numbers_without_sense_move_nothing_for_long(flight):
+    truth, rng = flight.rows["ned_from_body"], np.random.default_rng(1)
+    samples = heard(flight)
+    known = np.isfinite(samples["velocity_ned_m_s"][:, 0])
+    samples["velocity_ned_m_s"][known, :2] = rng.normal(0.0, 15.0, (known.sum(), 2))
+    tilt, _ = errors_deg(run(samples)[0], truth)
+    assert rms(tilt[2000:]) < 6.0
+
+
+def test_where_it_vanishes_the_class_takes_over(flight):
+    samples = heard(flight, 0.1)
+    samples["velocity_ned_m_s"][4000:] = np.nan
+    tilt, _ = errors_deg(run(samples)[0], flight.rows["ned_from_body"])
+    assert rms(tilt[4000:]) < 3.0
+
+
+@pytest.mark.parametrize("magnetometer", [False, True])
+@pytest.mark.parametrize("start_s", [21, 24, 38])
+@pytest.mark.parametrize("away_s", [0.7, 2.0, 4.0])
+def test_over_a_gap_in_a_manoeuvre_the_velocity_does_no_harm(flight, magnetometer, start_s, away_s):
+    keep = np.ones(len(flight.rows), bool)
+    keep[start_s * RATE_HZ : int((start_s + away_s) * RATE_HZ)] = False
+    samples = heard(flight, magnetometer=magnetometer)[keep]
+    estimates, state = run(samples)
+    tilt, _ = errors_deg(estimates, flight.rows["ned_from_body"][keep])
+    assert tilt[start_s * RATE_HZ + 1000 :].max() < 15.0
+    assert state["states"] == states.AIDED
