@@ -269,16 +269,16 @@ def _begin_if_it_agrees(state: Record, airframe: int) -> None:
         return
     alike = strength > MATCH_LIKENESS * math.sqrt(match[2] * match[3])
     told = alike and strength > MATCH_ENOUGH_M2_S2
+    is_fast = v[0] * v[0] + v[1] * v[1] > COURSE_SPEED_M_S**2
     if told and state["heading_source"] != heading.NONE and abs(angle) < COMPASS_RAD:
         _begin(state, 0.0)
     elif state["heading_source"] == heading.FIELD:
         return
     elif told:
         _turn_to(state, angle, MATCH_SIGMA_RAD)
-    elif airframe == _FIXED_WING and state["course_doubted"] == 0:
-        if v[0] * v[0] + v[1] * v[1] > COURSE_SPEED_M_S**2:
-            nose = math.atan2(state["dcm"][1, 0], state["dcm"][0, 0])
-            _turn_to(state, math.atan2(v[1], v[0]) - nose, COURSE_SIGMA_RAD)
+    elif airframe == _FIXED_WING and is_fast and state["course_doubted"] == 0:
+        nose = math.atan2(state["dcm"][1, 0], state["dcm"][0, 0])
+        _turn_to(state, math.atan2(v[1], v[0]) - nose, COURSE_SIGMA_RAD)
 
 
 @kernel
