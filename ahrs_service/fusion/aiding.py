@@ -182,7 +182,7 @@ def correct_velocity(
         _take(state, correction, h, then, later, slope_per_s)
     elif mekf.tilt_variance(state["covariance"]) < TILT_SIGMA_RAD**2:
         _match(state, then)
-        _begin_if_it_agrees(state, airframe)
+        _begin_if_it_agrees(state, airframe, correction)
 
 
 @kernel
@@ -206,6 +206,10 @@ def _take(
     state["velocity_surprise"] += SURPRISE_WEIGHT * (surprise - state["velocity_surprise"])
     if state["velocity_surprise"] > SURPRISE_LIMIT:
         _lose_heading(state)
+        for i in range(2):
+            correction[VELOCITY + i] -= correction[WIND + i]
+            correction[WIND + i] = 0.0
+        correction[LAG] = 0.0
 
 
 @kernel
@@ -259,7 +263,7 @@ def _match(state: Record, then: Floats) -> None:
 
 
 @kernel
-def _begin_if_it_agrees(state: Record, airframe: int) -> None:
+def _begin_if_it_agrees(state: Record, airframe: int, correction: Floats) -> None:
     """Begin to use the velocity where its changes are ours, turned by the heading or as known."""
     v, match = state["measured_velocity_m_s"], state["match"]
     strength, angle = math.hypot(match[0], match[1]), math.atan2(match[1], match[0])
@@ -275,15 +279,21 @@ def _begin_if_it_agrees(state: Record, airframe: int) -> None:
     elif state["heading_source"] == heading.FIELD:
         return
     elif told:
-        _turn_to(state, angle, MATCH_SIGMA_RAD)
+        _turn_to(state, angle, MATCH_SIGMA_RAD, correction)
     elif airframe == _FIXED_WING and is_fast and state["course_doubted"] == 0:
         nose = math.atan2(state["dcm"][1, 0], state["dcm"][0, 0])
-        _turn_to(state, math.atan2(v[1], v[0]) - nose, COURSE_SIGMA_RAD)
+        _turn_to(state, math.atan2(v[1], v[0]) - nose, COURSE_SIGMA_RAD, correction)
 
 
 @kernel
-def _turn_to(state: Record, angle_rad: float, sigma_rad: float) -> None:
+def _turn_to(state: Record, angle_rad: float, sigma_rad: float, correction: Floats) -> None:
+    """Turn to a heading that was found; what is to be corrected turns along."""
     mekf.turn_about_down(state, angle_rad)
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    for k in (ANGLE, VELOCITY):
+        x, y = correction[k], correction[k + 1]
+        correction[k], correction[k + 1] = c * x - s * y, s * x + c * y
+    correction[ANGLE + 2] = 0.0
     _begin(state, sigma_rad)
 
 
