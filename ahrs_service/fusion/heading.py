@@ -1,8 +1,8 @@
 """Heading from the magnetic field: level the field by the tilt, take its azimuth.
 
-The field is averaged in earth axes over a turn. What is trusted less the more it differs: from the
-reference, which is the field's part along the meridian (horizontal and down, so norm and dip in
-one) as slowly followed while undisturbed. A disturbance from any direction that shows d [uT] in
+The field is averaged in earth axes over a turn. It is trusted the less, the more it differs from
+the reference, which is the field's part along the meridian (horizontal and down, so norm and dip in
+one), slowly followed while undisturbed. A disturbance from any direction that shows d [uT] in
 those two hides d / sqrt(2) across them, which turns a horizontal field H by d / (sqrt(2) H):
 
     variance = sigma^2 + d^2 / (2 H^2) (1 + d^2 / limit^2) + (down / H)^2 tilt variance
@@ -46,6 +46,8 @@ VELOCITY: Final = 2
 FIELD_MIN_UT: Final = 20.0
 FIELD_MAX_UT: Final = 70.0
 """The Earth's field at the surface lies between 22 and 67 uT (IGRF-14)."""
+HORIZONTAL_MIN_UT: Final = 1e-3
+"""A field that points straight down tells no heading, but has to leave numbers [uT]."""
 SENSOR_MAX_UT: Final = 1e4
 """No magnetometer of a vehicle measures more; NaN is not below it either."""
 AZIMUTH_SIGMA_RAD: Final = 0.06
@@ -154,7 +156,7 @@ def _take_average(settings: Record, state: Record) -> None:
         # Damaged saved bytes: begin anew.
         state["heading_source"] = NONE
         return
-    variance = AZIMUTH_SIGMA_RAD**2 + hidden2 / state["reference_ut"][0] ** 2 + _by_tilt(state)
+    variance = AZIMUTH_SIGMA_RAD**2 + hidden2 / _horizontal(state) ** 2 + _by_tilt(state)
     error = settings["declination_rad"] - math.atan2(east, north)
     _turn_heading(state, math.atan2(math.sin(error), math.cos(error)), variance, dt_s)
     _follow_field(state, math.sqrt(north * north + east * east), down, misfit2, dt_s)
@@ -163,8 +165,14 @@ def _take_average(settings: Record, state: Record) -> None:
 @kernel
 def _by_tilt(state: Record) -> float:
     """Variance of the azimuth [rad^2] that the tilt's brings in: a steep field is tilted across."""
-    slope = state["reference_ut"][1] / state["reference_ut"][0]
+    slope = state["reference_ut"][1] / _horizontal(state)
     return float(slope * slope * _tilt_variance(state))
+
+
+@kernel
+def _horizontal(state: Record) -> float:
+    """Horizontal part of the reference [uT], by which to divide."""
+    return max(float(state["reference_ut"][0]), HORIZONTAL_MIN_UT)
 
 
 @kernel

@@ -7,7 +7,7 @@ import pytest
 
 from ahrs_service import pipeline
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2 as G
-from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, empty
+from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, Phase, empty
 from ahrs_service.rotation import (
     euler_columns,
     inverse_columns,
@@ -206,6 +206,18 @@ def test_no_plausible_field_gives_no_heading(value):
     estimates, state = run(samples)
     assert state["heading_source"][0] == 0
     assert np.isfinite(estimates["ned_from_body"]).all()
+
+
+def test_a_field_straight_down_leaves_numbers():
+    samples = empty(SAMPLE_DTYPE, 500)
+    samples["time_ns"] = np.arange(500) * 10_000_000
+    samples["gyro_rad_s"] = 0.0
+    samples["accel_m_s2"] = (0.0, 0.0, -G)
+    samples["mag_ut"] = (0.0, 0.0, 40.0)
+    estimates, _ = run(samples)
+    assert np.isfinite(estimates["ned_from_body"]).all()
+    assert estimates["phase"][-1] == Phase.RUNNING
+    assert estimates["attitude_sigma_rad"][-1, 2] > 1.0
 
 
 @pytest.mark.parametrize("field", ["reference_ut", "iron_ut", "iron_covariance", "mag_field_ut"])
