@@ -10,6 +10,8 @@ from typing import Final
 import numpy as np
 
 from ahrs_service import intake, pipeline
+from ahrs_service.fusion.aiding import HISTORY
+from ahrs_service.fusion.states import AIDED, GATED, UNAIDED
 from ahrs_service.records import (
     ESTIMATE_DTYPE,
     READING_DTYPE,
@@ -18,6 +20,7 @@ from ahrs_service.records import (
     Integers,
     Kind,
     Phase,
+    Record,
     Rows,
     empty,
 )
@@ -28,6 +31,8 @@ from ahrs_service.smoothing import Smoother
 _STATE_MARK: Final = hashlib.sha256(
     repr((intake.STATE_DTYPE.descr, pipeline.STATE_DTYPE.descr)).encode()
 ).digest()[:8]
+_STATES: Final = (0, GATED, UNAIDED, AIDED)
+"""How many error states are in use: none before the first sample."""
 
 
 class StateError(ValueError):
@@ -122,18 +127,27 @@ class Estimator:
         cut = len(_STATE_MARK) + intake.STATE_DTYPE.itemsize
         intake_state = np.frombuffer(saved[len(_STATE_MARK) : cut], intake.STATE_DTYPE).copy()
         pipeline_state = np.frombuffer(saved[cut:], pipeline.STATE_DTYPE).copy()
-        # The kernels index by source and vehicle without a check, so both must exist.
-        source, vehicle = int(intake_state["source"][0]), int(intake_state["vehicle"][0])
-        phase = int(pipeline_state["phase"][0])
-        known = source in list(ImuSource) and phase in list(Phase) and 0 <= vehicle <= 255
-        if not known:
-            raise StateError(
-                f"saved state is damaged (IMU source {source}, vehicle {vehicle}, phase {phase}); "
-                "start from the beginning of the recording instead"
-            )
+        _check(intake_state[0], pipeline_state[0])
         self._intake_state, self._pipeline_state = intake_state, pipeline_state
         if self._smoother is not None:
             self._smoother.cut()
+
+
+def _check(intake_state: Record, pipeline_state: Record) -> None:
+    """Raise StateError for values by which the kernels index and count without a check.
+
+    All else is checked by `alignment.is_sound` at the end of a turn; so that must come.
+    """
+    source, vehicle = int(intake_state["source"]), int(intake_state["vehicle"])
+    phase, states = int(pipeline_state["phase"]), int(pipeline_state["states"])
+    place, turn_s = int(pipeline_state["history_next"]), float(pipeline_state["turn_s"])
+    known = source in list(ImuSource) and phase in list(Phase) and 0 <= vehicle <= 255
+    if not (known and states in _STATES and 0 <= place < HISTORY and turn_s >= 0.0):
+        raise StateError(
+            f"saved state is damaged (IMU source {source}, vehicle {vehicle}, phase {phase}, "
+            f"{states} error states, place {place} in the history, turn of {turn_s} s); "
+            "start from the beginning of the recording instead"
+        )
 
 
 def compile_kernels(settings: Settings) -> None:

@@ -90,6 +90,7 @@ def is_sound(state: Record) -> bool:
     sound = abs(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] - 1.0) < 1e-6
     states = state["states"]
     sound = sound and states in (GATED, UNAIDED, ERROR_STATES)
+    sound = sound and abs(state["velocity_lag_s"]) < math.inf
     for i in range(states if sound else 0):
         sound = sound and 0.0 <= state["covariance"][i, i] < math.inf
     for i in range(3):
@@ -108,6 +109,7 @@ def is_sound(state: Record) -> bool:
     if not sound:
         for i in range(4):
             q[i] = 1.0 if i == 0 else 0.0
+        state["velocity_lag_s"] = 0.0
         for i in range(3):
             state["gyro_bias_rad_s"][i] = state["accel_bias_m_s2"][i] = 0.0
             for j in range(3):

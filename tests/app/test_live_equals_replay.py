@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import dataclasses
+import math
 import os
 import struct
 from pathlib import Path
@@ -17,6 +18,8 @@ from hypothesis import strategies as st
 from ahrs_service.app.config_file import to_json
 from ahrs_service.app.replay_log import replay_log
 from ahrs_service.estimator import Estimator, StateError
+from ahrs_service.intake import STATE_DTYPE as INTAKE_STATE
+from ahrs_service.pipeline import STATE_DTYPE as PIPELINE_STATE
 from ahrs_service.records import Gate, Phase
 from ahrs_service.settings import (
     GateSettings,
@@ -326,7 +329,11 @@ def test_a_state_that_cannot_be_used_changes_nothing(readings: Any) -> None:
     estimator = Estimator(Settings())
     estimator.take(readings[:3000])
     saved = estimator.save()
-    at_source, at_phase = saved_offsets()
+    at_source = saved_offset("source", pipeline=False)
+    at_phase, at_states, at_place, at_turn = map(
+        saved_offset, ("phase", "states", "history_next", "turn_s")
+    )
+    not_a_number = struct.unpack("<q", struct.pack("<d", math.nan))[0]
     bad = [
         b"",
         saved[:-1],
@@ -336,6 +343,9 @@ def test_a_state_that_cannot_be_used_changes_nothing(readings: Any) -> None:
         bytes([saved[0] ^ 1]) + saved[1:],
         *(patched(saved, at_source, value) for value in (-1, 16, 2**40, -(2**63))),
         *(patched(saved, at_phase, value) for value in (-1, 3)),
+        *(patched(saved, at_states, value) for value in (-1, 22, 2**40)),
+        *(patched(saved, at_place, value) for value in (-1, 32, 2**40)),
+        patched(saved, at_turn, not_a_number),
     ]
     for wrong in bad:
         with pytest.raises(StateError, match="start from the beginning"):
@@ -347,14 +357,12 @@ def patched(saved: bytes, offset: int, value: int) -> bytes:
     return saved[:offset] + struct.pack("<q", value) + saved[offset + 8 :]
 
 
-def saved_offsets() -> tuple[int, int]:
-    """Where the saved bytes hold the IMU source and the phase."""
-    from ahrs_service import intake, pipeline
-
-    head = 8
-    source = intake.STATE_DTYPE.fields["source"][1]
-    phase = pipeline.STATE_DTYPE.fields["phase"][1]
-    return head + source, head + intake.STATE_DTYPE.itemsize + phase
+def saved_offset(field: str, pipeline: bool = True) -> int:
+    """Where the saved bytes hold a field of the pipeline's state, or of the intake's."""
+    mark = 8
+    if not pipeline:
+        return mark + INTAKE_STATE.fields[field][1]
+    return mark + INTAKE_STATE.itemsize + PIPELINE_STATE.fields[field][1]
 
 
 @given(bits=st.lists(st.integers(0, 2**20), min_size=1, max_size=30), tail=st.binary(max_size=20))
