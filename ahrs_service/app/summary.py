@@ -10,11 +10,13 @@ import numpy as np
 from ahrs_service.app.statistics import gate_shares
 from ahrs_service.comparison import Comparison, compare
 from ahrs_service.estimator import Estimator
+from ahrs_service.fusion import heading
 from ahrs_service.records import Flag, Gate, ImuSource, Kind, Phase, Rows
 from ahrs_service.settings import IntakeSettings
 from links.recording import Recording
 
 LOW_RATE_HZ: Final = 20.0
+_HEADINGS: Final = {heading.FIELD: "magnetometer", heading.VELOCITY: "velocity over ground"}
 _SESSION_STEP_NS: Final = 60_000_000_000
 _HIGHRES: Final = (ImuSource.HIGHRES_IMU, ImuSource.HIGHRES_IMU_1, ImuSource.HIGHRES_IMU_2)
 _SECOND: Final = (ImuSource.SCALED_IMU2, ImuSource.HIGHRES_IMU_1)
@@ -77,7 +79,8 @@ def summarise(
     """Gather the summary of one replay from its estimates, before and after they were smoothed."""
     steps = _steps_s(estimates)
     running = estimates["phase"] == Phase.RUNNING
-    measured = bool(estimator.state["heading_source"][0])
+    source = int(estimator.state["heading_source"][0])
+    measured = source != heading.NONE
     references = sorted(recording.references, key=lambda one: not one.is_truth)
     reference = references[0] if references else None
     comparison, smoothed_comparison = (
@@ -116,7 +119,7 @@ def summarise(
         comparison=comparison,
         smoothed=smoothed is not None,
         smoothed_comparison=smoothed_comparison,
-        heading="magnetometer" if measured else "free",
+        heading=_HEADINGS.get(source, "free"),
         settings_origin=settings_origin,
         digest=estimator.digest.hexdigest(),
     )
