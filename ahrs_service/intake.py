@@ -31,7 +31,6 @@ STATE_DTYPE: Final = np.dtype(
         ("temperature_first_ns", "i8", _IMUS),
         ("temperature_changed_ns", "i8", _IMUS),
         ("temperature_changes", "i8", _IMUS),
-        ("mag_ut", "f8", 3),
         ("velocity_ned_m_s", "f8", 3),
         ("velocity_received_ns", "i8", _VELOCITIES),
         ("airspeed_m_s", "f8"),
@@ -99,7 +98,7 @@ _NEVER_NS = -(2**62)
 def new_state() -> Rows:
     """Return the state [1] before anything was heard."""
     state = np.zeros(1, STATE_DTYPE)
-    for name in ("temperature_degc", "mag_ut", "velocity_ned_m_s", "airspeed_m_s"):
+    for name in ("temperature_degc", "velocity_ned_m_s", "airspeed_m_s"):
         state[name] = np.nan
     state["velocity_received_ns"] = _NEVER_NS
     new_trim(state)

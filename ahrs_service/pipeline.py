@@ -1,9 +1,11 @@
 """The estimator: one step from a sample to an estimate, and the batch that loops it.
 
-compensation > strapdown > gate > correction. No clock, no input or output: the live service calls
-`step` per sample, a replay calls `batch`, and both run the same compiled code, so that the same
-samples give the same bytes. Three structs: parameters (from settings), coefficients (from the
-calibration) and state, which can be saved and restored by its bytes at any sample.
+Each sample: compensation > strapdown > magnetic field. Each turn (`fusion.propagation`):
+covariance > gate > corrections by gravity, by rest or what bounds the velocity, by a measured
+velocity. No clock, no input or output: live service and replay call `batch`, for one sample or
+many, so that the same samples give the same bytes. Three structs: parameters (from settings),
+coefficients (from the calibration) and state, which can be saved and restored by its bytes at any
+sample.
 """
 
 import dataclasses
@@ -26,7 +28,7 @@ from ahrs_service.fusion import (
     tape,
     timebase,
 )
-from ahrs_service.fusion.states import ERROR_STATES
+from ahrs_service.fusion.states import ERROR_STATES, GYRO_BIAS
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Airframe, Flag, Floats, Phase, Record, Rows
 from ahrs_service.sensor.compensation import compensate
@@ -137,20 +139,15 @@ def new_state() -> Rows:
 def parameters(settings: Settings) -> Rows:
     """Return the kernel's parameters [1]."""
     row = np.zeros(1, PARAMETERS_DTYPE)
-    gate, fusion = gating.limits(settings), settings.fusion
+    gate, fusion = gating.in_force(settings), settings.fusion
     for name in PARAMETERS_DTYPE.names or ():
         if hasattr(fusion, name):
             if not isinstance(getattr(fusion, name), str):
                 row[name] = getattr(fusion, name)
         elif hasattr(gate, name.removeprefix("gate_")):
             row[name] = getattr(gate, name.removeprefix("gate_"))
-    airframes = {
-        Airframe.FIXED_WING: settings.fixed_wing,
-        Airframe.MULTIROTOR: settings.multirotor,
-        Airframe.HAND_HELD: settings.hand_held,
-        Airframe.OTHER: settings.other,
-    }
-    for number, airframe in airframes.items():
+    for number in Airframe:
+        airframe = getattr(settings, number.name.lower())
         for field in dataclasses.fields(airframe):
             row[field.name][0, number] = getattr(airframe, field.name)
     row["declination_rad"] = math.radians(fusion.declination_deg)
@@ -195,12 +192,7 @@ def _check_sensors(
 
 @kernel
 def _turn(
-    settings: Record,
-    state: Record,
-    sample: Record,
-    airframe: int,
-    flags: int,
-    nodes: Rows | None,
+    settings: Record, state: Record, sample: Record, airframe: int, flags: int, nodes: Rows | None
 ) -> None:
     """Propagate the covariance, then correct by all that is known of the vehicle's motion."""
     if nodes is not None:
@@ -233,11 +225,14 @@ def _turn(
 
 @kernel
 def _summarise(state: Record) -> None:
-    """Keep the sigmas of attitude and bias, which move only when a turn ends."""
+    """Keep the sigmas of attitude and bias, which move only when a turn ends.
+
+    What the magnetic field corrects after that shows with the next turn: late, never too small.
+    """
     p = state["covariance"]
     for i in range(3):
         state["attitude_sigma_rad"][i] = math.sqrt(p[i, i])
-        state["gyro_bias_sigma_rad_s"][i] = math.sqrt(p[3 + i, 3 + i])
+        state["gyro_bias_sigma_rad_s"][i] = math.sqrt(p[GYRO_BIAS + i, GYRO_BIAS + i])
     state["attitude_sigma_rad"][2] = heading.sigma(state)
 
 

@@ -64,7 +64,10 @@ class Airframe(IntEnum):
 
 
 class Gate(IntFlag):
-    """Why the accelerometer was not let in as a measure of the vertical; 0 is an open gate."""
+    """Why the averaged force was not taken for the vertical; 0 is an open gate.
+
+    Judged once per turn, in both modes. While aligning and at rest the force counts all the same.
+    """
 
     OPEN = 0
     NORM = 1
@@ -183,7 +186,8 @@ ESTIMATE_DTYPE: Final = np.dtype(
 also free of the estimated bias; `attitude_sigma_rad` [3] 1-sigma of the error angle about north,
 east, down; `residual_m_s2` [3] measured specific force minus that of gravity alone, body axes;
 `innovation_rad` [3] tilt innovation about body axes; the `gate_*` columns are the values that the
-gate compared: abs(norm(f) - g0), norm(w), norm(dw/dt), and the normalised innovation (sigmas).
+gate compared at the end of the last turn (f averaged in earth axes, w smoothed): abs(norm(f) - g0),
+norm(w), norm(dw/dt), and the normalised innovation (sigmas).
 """
 
 

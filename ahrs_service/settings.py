@@ -35,7 +35,8 @@ class GateSettings:
     """Limits of the three motion gates (Liu et al., sec. 4) and of the checks around them.
 
     `norm_m_s2` [m/s^2], `rate_rad_s` [rad/s], `angular_acceleration_rad_s2` [rad/s^2],
-    `innovation_sigma` [1-sigma], `accel_range_m_s2` and `gyro_range_rad_s` where the sensor clips.
+    `innovation_sigma` [1-sigma], `accel_range_m_s2` and `gyro_range_rad_s` where the sensor clips,
+    `smoothing_s` how long force and rate are averaged before they are compared [s].
     """
 
     __pydantic_config__: ClassVar = _STRICT
@@ -52,6 +53,7 @@ class GateSettings:
 class GateBudget:
     """Largest errors admitted to the correction, from which limits follow (Liu et al., sec. 4).
 
+    They hold in the gated mode, and there before an AHRS_GATE_* parameter of the ground.
     What is None leaves that limit as GateSettings has it; `fusion.gating.limits` resolves.
     `acceleration_m_s2` is the linear acceleration a_a [m/s^2], or in its place `tilt_deg` the tilt
     that a horizontal acceleration may fake [deg]; `centripetal_m_s2` is a_w on a turn of radius
@@ -101,7 +103,8 @@ class FusionSettings:
     bias walk [rad/s^2/sqrt(Hz)] and what a change of temperature adds to it [rad/s/sqrt(degC)],
     1-sigma at power-on and of one reading at rest [rad/s], `gyro_scale_error_rts` what no matrix
     explains of the angle, per rad/s of rate [sqrt(s)]. `velocity_lag_s` is how late a measured
-    velocity comes, before the filter has learnt it [s].
+    velocity comes, before the filter has learnt it [s]; `alignment_s` how long the first alignment
+    takes at least and `gap_s` which step between samples is a gap [s].
     """
 
     __pydantic_config__: ClassVar = _STRICT

@@ -40,6 +40,7 @@ FASTEST_M_S: Final = 60.0
 its satellites [m/s]."""
 VALID_NS: Final = 2_000_000_000
 WIND_SIGMA_M_S: Final = 5.0
+"""Along north and along east [m/s]."""
 SIGMA_M_S: Final = 0.5
 """Of a velocity by satellites in flight, along each axis [m/s]."""
 LAG_SIGMA_S: Final = 0.15
@@ -76,10 +77,7 @@ _FIXED_WING = int(Airframe.FIXED_WING)
 
 @kernel
 def hear_velocity(state: Record, sample: Record) -> None:
-    """Keep a new velocity [3] [m/s]; the same numbers again are no new measurement.
-
-    One that cannot be is none.
-    """
+    """Keep a new velocity [3] [m/s]; the same numbers again, or impossible ones, are none."""
     v, known = sample["velocity_ned_m_s"], state["measured_velocity_m_s"]
     down = 0.0 if math.isnan(v[2]) else v[2]
     # False for what is not finite, too.
@@ -161,7 +159,7 @@ def correct_velocity(
 ) -> None:
     """Correct by a new measurement of the velocity over ground; `h` [n] comes and goes zero.
 
-    Without a heading the measurement goes to find one.
+    Until the velocity is believed, the measurement goes to find out whether it agrees with ours.
     """
     if state["measured_new"] == 0:
         return

@@ -162,8 +162,8 @@ def tilt_variance(p: Floats) -> float:
 @kernel
 def correct(
     p: Floats, correction: Floats, states: int, h: Floats, innovation: float, variance: float
-) -> float:
-    """Measure h . x, `innovation` by the state as it was; return its square in variances.
+) -> None:
+    """Measure h . x, `innovation` by the state as it was.
 
     `h` [n] is looked at by threes, so one of few parts costs little.
     """
@@ -177,7 +177,6 @@ def correct(
     for j in range(states):
         variance += h[j] * ph[j]
     _take(p, correction, states, ph, innovation, variance)
-    return innovation * innovation / variance
 
 
 @kernel

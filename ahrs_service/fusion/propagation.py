@@ -78,16 +78,8 @@ def move(
     stream widens the covariance by itself.
     """
     before, rate = state["rate_before_rad_s"], state["rate_rad_s"]
-    earlier, dcm, m = state["rate_earlier_rad_s"], state["dcm"], state["gyro_matrix"]
-    change2 = rate2 = 0.0
-    for i in range(3):
-        earlier[i] = before[i]
-        before[i] = rate[i]
-        crossed = m[i, 0] * gyro[0] + m[i, 1] * gyro[1] + m[i, 2] * gyro[2]
-        rate[i] = gyro[i] - state["gyro_bias_rad_s"][i] - crossed
-        state["turn_gyro_rad"][i] += gyro[i] * dt_s
-        change2 += (rate[i] - before[i]) ** 2
-        rate2 += rate[i] * rate[i]
+    earlier, dcm = state["rate_earlier_rad_s"], state["dcm"]
+    change2, rate2 = _take_rate(state, gyro, dt_s)
     state["turn_angle_variance"] += settings["gyro_scale_error_rts"] ** 2 * rate2 * dt_s
     if flags & _GAP:
         state["turn_angle_variance"] += (GAP_RATE_SIGMA_RAD_S * dt_s) ** 2
@@ -109,6 +101,23 @@ def move(
         norm2 = _average_force(settings, state, accel, dt_s)
         if settings["use_velocity"] != 0:
             _move_velocity(settings, state, airframe, accel, dt_s, norm2)
+
+
+@kernel
+def _take_rate(state: Record, gyro: Floats, dt_s: float) -> tuple[float, float]:
+    """Correct the rate; return the squares of its change since the last one and of itself."""
+    before, rate = state["rate_before_rad_s"], state["rate_rad_s"]
+    earlier, m = state["rate_earlier_rad_s"], state["gyro_matrix"]
+    change2 = rate2 = 0.0
+    for i in range(3):
+        earlier[i] = before[i]
+        before[i] = rate[i]
+        crossed = m[i, 0] * gyro[0] + m[i, 1] * gyro[1] + m[i, 2] * gyro[2]
+        rate[i] = gyro[i] - state["gyro_bias_rad_s"][i] - crossed
+        state["turn_gyro_rad"][i] += gyro[i] * dt_s
+        change2 += (rate[i] - before[i]) ** 2
+        rate2 += rate[i] * rate[i]
+    return change2, rate2
 
 
 @kernel

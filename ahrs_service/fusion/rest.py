@@ -33,8 +33,6 @@ MOVING_SPEED_M_S: Final = 2.0
 MOVING_SIGMA: Final = 3.0
 STILL_S: Final = 20.0
 """Nothing flies so long without a shake, whatever velocity is thought [s]."""
-WIND_SIGMA_M_S: Final = 5.0
-"""Velocity is that over ground at rest and through the air in flight; the wind lies between."""
 VELOCITY_SIGMA_M_S: Final = 0.1
 VELOCITY_CORRELATION_S: Final = 0.1
 FORCE_FLOOR_M_S2: Final = 0.02
@@ -73,13 +71,16 @@ def follow(state: Record, gyro: Floats, accel: Floats, dt_s: float, rate_sigma: 
 
 @kernel
 def come_to_rest(state: Record) -> bool:
-    """Return whether the vehicle is at rest; a change of that brings the wind into the velocity."""
+    """Return whether the vehicle is at rest; a change of that brings the wind into the velocity.
+
+    Velocity is that over ground at rest and through the air in flight; the wind lies between.
+    """
     at_rest = state["rest_s"] > CONFIRM_S and not _moves(state)
     if at_rest != (state["at_rest"] != 0):
         state["at_rest"] = 1 if at_rest else 0
         if state["states"] != AIDED:
             for i in range(2):
-                state["covariance"][VELOCITY + i, VELOCITY + i] += WIND_SIGMA_M_S**2
+                state["covariance"][VELOCITY + i, VELOCITY + i] += aiding.WIND_SIGMA_M_S**2
     return bool(at_rest)
 
 

@@ -31,6 +31,8 @@ from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats, Record, Rows
 from ahrs_service.rotation import from_rotation_vector, multiply, normalise
 
+_HEADING: Final = 5
+"""Where a node's lower triangle holds the variance of the angle about down."""
 DEPENDENT: Final = 1e-12
 """Share of a variance that others must leave unexplained for the state to count as its own."""
 
@@ -72,7 +74,8 @@ def smooth(nodes: Rows, used: int, estimates: Rows) -> None:
 @kernel
 def _variance_of_the_field(estimate: Record, node: Record) -> float:
     """What the heading's variance has beyond the filter's own: where the field itself points."""
-    return max(0.0, float(estimate["attitude_sigma_rad"][2] ** 2 - node["covariance"][5]))
+    own = node["covariance"][_HEADING]
+    return max(0.0, float(estimate["attitude_sigma_rad"][2] ** 2 - own))
 
 
 @kernel

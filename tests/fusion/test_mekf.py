@@ -56,8 +56,7 @@ def test_two_measurements_correct_as_the_dense_filter_does(count):
         gain = expected_p @ h / s
         expected_x = expected_x + gain * surprise
         expected_p = expected_p - np.outer(gain, h @ expected_p)
-        square = mekf.correct(p, correction, count, h, innovation, variance)
-        assert square == pytest.approx(surprise**2 / s, rel=1e-9)
+        mekf.correct(p, correction, count, h, innovation, variance)
     np.testing.assert_allclose(p, expected_p, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(correction, expected_x, rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(p, p.T)
