@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.app.replay_log import ReplayResult
+from ahrs_service.fusion.gating import in_force
 from ahrs_service.records import Floats, ImuSource, Integers, Kind, Rows
 
 Series = dict[str, tuple[Integers, Floats]]
@@ -35,7 +36,7 @@ def write_recording(path: Path, result: ReplayResult) -> None:
         _rates(by_source),
         {name: (np.array([start_ns]), np.array([count])) for name, count in lost.items()},
         messages,
-        gate=result.settings.gate,
+        gate=in_force(result.settings),
     )
 
 

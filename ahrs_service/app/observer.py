@@ -6,6 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 from ahrs_service.app.config_file import ConfigError
+from ahrs_service.fusion.gating import in_force
 from ahrs_service.records import Rows
 from ahrs_service.rotation import from_euler
 from ahrs_service.settings import Settings
@@ -30,7 +31,7 @@ class Observer:
     def __init__(self, settings: Settings) -> None:
         viewer = settings.viewer
         self._viewer = LiveViewer(
-            viewer.port, viewer.rrd, viewer.memory_mb, viewer.period_s, settings.gate
+            viewer.port, viewer.rrd, viewer.memory_mb, viewer.period_s, in_force(settings)
         )
         try:
             self._viewer.start()
@@ -83,7 +84,7 @@ class Observer:
 
     def configure(self, settings: Settings) -> None:
         """Show the limits of the gate as they are from now on."""
-        self._viewer.gate = settings.gate
+        self._viewer.gate = in_force(settings)
 
     def figures(self, rates_hz: Mapping[str, float], drops: Mapping[str, int]) -> None:
         """Show rates and what was lost, as of now."""

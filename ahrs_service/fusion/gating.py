@@ -85,6 +85,15 @@ def angular_acceleration_limit(
     return acceleration_m_s2 / arm + steady_sigma_rad_s2
 
 
+def in_force(settings: Settings) -> GateSettings:
+    """Return the limits that the filter compares with: a budget's in the gated mode alone.
+
+    There the gates decide alone what corrects; the velocity mode only takes a little more from an
+    open gate, and was better on every class of airframe with the limits as set explicitly.
+    """
+    return limits(settings) if settings.fusion.mode == "gated" else settings.gate
+
+
 def limits(settings: Settings) -> GateSettings:
     """Return the gate's limits: from `gate_budget` where that states one, else as set explicitly.
 

@@ -12,14 +12,16 @@ from ahrs_service.app.config_file import ConfigError, from_json, load, to_json
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2 as G
 from ahrs_service.fusion.gating import (
     angular_acceleration_limit,
+    in_force,
     limits,
     motion_reasons,
     norm_limit_from_acceleration,
     norm_limit_from_tilt,
     rate_limit,
 )
+from ahrs_service.pipeline import parameters
 from ahrs_service.records import Gate
-from ahrs_service.settings import GateBudget, GateSettings, Settings
+from ahrs_service.settings import FusionSettings, GateBudget, GateSettings, Settings
 
 
 @pytest.mark.parametrize("tilt_deg", [0.5, 2.0, 10.0])
@@ -181,3 +183,13 @@ def test_a_budget_from_which_no_limit_follows_is_refused(overrides, words):
         load(overrides=[f"gate_budget.{override}" for override in overrides])
     for word in words:
         assert word in str(caught.value)
+
+
+def test_a_budget_holds_in_the_gated_mode_alone():
+    budget = GateBudget(tilt_deg=3.0)
+    gated = Settings(gate_budget=budget, fusion=FusionSettings(mode="gated"))
+    assert in_force(gated) == limits(gated) != gated.gate
+    assert parameters(gated)["gate_norm_m_s2"][0] == in_force(gated).norm_m_s2
+    by_velocity = Settings(gate_budget=budget)
+    assert in_force(by_velocity) == by_velocity.gate
+    assert parameters(by_velocity)["gate_norm_m_s2"][0] == by_velocity.gate.norm_m_s2
