@@ -127,6 +127,8 @@ def _let_go(state: Record) -> None:
         for j in range(ERROR_STATES):
             p[j, v] -= p[j, w]
         velocity[i] -= wind[i]
+        for n in range(HISTORY):
+            state["history_m_s"][n, i] -= wind[i]
         wind[i] = 0.0
     for i in range(5):
         state["match"][i] = 0.0

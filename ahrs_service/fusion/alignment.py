@@ -71,6 +71,10 @@ def start(settings: Record, state: Record, airframe: int) -> None:
         state["gyro_square_sum"][i] = 0.0
     for n in range(len(state["history_time_ns"])):
         state["history_time_ns"][n] = 0
+    # Changes of velocity before were compared in axes that are now given up.
+    for i in range(len(state["match"])):
+        state["match"][i] = 0.0
+    state["course_doubted"] = 0
     state["measured_new"] = 0
     state["wind_ned_m_s"][0] = state["wind_ned_m_s"][1] = 0.0
     state["heading_source"] = 0

@@ -262,7 +262,12 @@ def turn_about_down(state: Record, angle_rad: float) -> None:
     multiply(from_rotation_vector(0.0, 0.0, angle_rad), q, q)
     normalise(q)
     matrix(q, state["dcm"])
-    for vector in (state["velocity_ned_m_s"], state["force_ned_m_s2"], state["wind_ned_m_s"]):
+    for vector in (
+        state["velocity_ned_m_s"],
+        state["wind_ned_m_s"],
+        state["force_ned_m_s2"],
+        state["force_before_ned_m_s2"],
+    ):
         vector[0], vector[1] = c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]
     for n in range(len(state["history_m_s"])):
         v = state["history_m_s"][n]

@@ -49,7 +49,7 @@ _FIXED_WING = int(Airframe.FIXED_WING)
 @kernel
 def hear_airspeed(state: Record, sample: Record) -> None:
     """Keep the newest airspeed [m/s] and its time."""
-    if math.isfinite(sample["airspeed_m_s"]):
+    if abs(sample["airspeed_m_s"]) < aiding.FASTEST_M_S:
         state["airspeed_m_s"] = sample["airspeed_m_s"]
         state["airspeed_time_ns"] = sample["time_ns"]
 

@@ -5,7 +5,7 @@ import pytest
 
 from ahrs_service import pipeline
 from ahrs_service.fusion import heading, states
-from ahrs_service.records import ESTIMATE_DTYPE, Airframe, empty
+from ahrs_service.records import ESTIMATE_DTYPE, Airframe, Flag, empty
 from ahrs_service.rotation import inverse_columns, multiply_columns
 from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.settings import Settings
@@ -123,3 +123,20 @@ def test_over_a_gap_in_a_manoeuvre_the_velocity_does_no_harm(flight, magnetomete
     tilt, _ = errors_deg(estimates, flight.rows["ned_from_body"][keep])
     assert tilt[start_s * RATE_HZ + 1000 :].max() < 15.0
     assert state["states"] == states.AIDED
+
+
+def test_another_imu_gives_up_what_was_compared_before(flight):
+    """The turn to the heading that was found once is not made again."""
+    samples = heard(flight, 0.1, Airframe.OTHER)
+    samples["flags"][6500] = int(Flag.IMU_CHANGED)
+    estimates, _ = run(samples)
+    _, turn = errors_deg(estimates, flight.rows["ned_from_body"])
+    assert np.abs(turn[6510:7000] - turn[6400]).max() < 15.0
+
+
+def test_an_airspeed_that_nothing_flies_moves_nothing(flight):
+    samples = samples_of(flight, Airframe.FIXED_WING).copy()
+    without, _ = run(samples)
+    samples["airspeed_m_s"][::10] = 1e6
+    absurd, _ = run(samples)
+    assert absurd["ned_from_body"].tobytes() == without["ned_from_body"].tobytes()
