@@ -22,7 +22,7 @@ REST_FIELDS: Final = [
 
 AVERAGE_S: Final = 0.5
 CONFIRM_S: Final = 1.0
-FORCE_SIGMA_M_S2: Final = 0.12
+FORCE_SIGMA_M_S2: Final = 0.2
 """An idle engine or a hand on the wing shake more than this [m/s^2]."""
 RATE_RAD_S: Final = 0.1
 FORCE_ERROR_M_S2: Final = 0.5
