@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from ahrs_service import pipeline
 from ahrs_service.app.estimate import Columns, estimate_columns
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.fusion.states import GYRO_MATRIX
 from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, Airframe, Phase, empty
 from ahrs_service.rotation import (
     inverse_columns,
@@ -63,6 +64,15 @@ def shaken(swing, seed):
     frequency = rng.uniform(0.1, 1.5, (2, 3, 5))
     amplitude = np.array([1.5, 1.0])[:, None, None] / (2 * math.pi * frequency) / math.sqrt(2.5)
     return swing(*np.stack([amplitude, frequency, rng.uniform(0.0, 6.3, (2, 3, 5))], axis=-1))
+
+
+def tumbled(swing, seed):
+    """Whole turns about all axes, which is where an error of scale or axes adds up."""
+    rng = np.random.default_rng(seed)
+    angle, push = rng.uniform(0.03, 0.12, (3, 3)), rng.uniform(0.1, 1.5, (3, 3))
+    turns = np.stack([np.full((3, 3), 4.0), angle, rng.uniform(0.0, 6.3, (3, 3))], axis=-1)
+    size = 1.0 / (2 * math.pi * push) / math.sqrt(1.5)
+    return swing(turns, np.stack([size, push, rng.uniform(0.0, 6.3, (3, 3))], axis=-1))
 
 
 def regular(seconds, rate_hz):
@@ -240,6 +250,24 @@ def test_a_bias_is_found_in_motion_within_its_sigma(swing, airframe, seed):
     assert (np.sort(sigma)[:2] < 0.008).all()
     assert np.sort(np.abs(error))[1] < 0.003
     assert tilts_deg(truth, estimates["ned_from_body"])[6000:].max() < 4.0
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_gyros_matrix_is_found_in_motion_within_its_sigma(swing, seed):
+    """Of gyro = (I + E) rate the filter finds M with I - M = (I + E)^-1."""
+    samples = tumbled(swing, seed).samples(regular(300.0, 100), mean=True)
+    error = np.random.default_rng(seed).normal(0.0, 0.004, (3, 3))
+    samples["gyro_rad_s"] = samples["gyro_rad_s"] @ (np.eye(3) + error).T
+    truth = np.eye(3) - np.linalg.inv(np.eye(3) + error)
+    _, state = run(without_mag(samples), gyro_sample="mean")
+    found = state["gyro_matrix"][0]
+    variances = np.diag(state["covariance"][0])[GYRO_MATRIX : GYRO_MATRIX + 9]
+    sigma = np.sqrt(variances).reshape(3, 3)
+    assert (np.abs(found - truth) < 3.0 * sigma).all()
+    # What this motion tells it found; what only the heading would tell stays in doubt.
+    told = sigma < 0.5 * 0.004
+    assert told.sum() >= 3
+    assert np.linalg.norm((found - truth)[told]) < 0.5 * np.linalg.norm(truth[told])
 
 
 @modes
