@@ -169,7 +169,7 @@ FIXED_WING = AirframeSettings(
 """Small fixed wings; configs/airframes/ says for each class where its numbers come from."""
 MULTIROTOR = AirframeSettings(
     forward_speed_m_s=0.0,
-    velocity_sigma_m_s=(3.0, 3.0, 3.0),
+    velocity_sigma_m_s=(2.0, 2.0, 3.0),
     velocity_correlation_s=(1.0, 1.0, 1.0),
     drag_s=(4.0, 4.0, 0.0),
     climb_sigma_m_s=3.0,
