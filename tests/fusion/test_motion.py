@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 
 from ahrs_service import pipeline
+from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, Airframe, empty
-from ahrs_service.rotation import inverse_columns, multiply_columns, rotate_columns
+from ahrs_service.rotation import (
+    inverse_columns,
+    multiply_columns,
+    quaternion_columns,
+    rotate_columns,
+)
 from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.settings import FusionSettings, Settings
 from ahrs_service.simulation.scenario import make_flight
@@ -59,3 +65,24 @@ def test_rest_teaches_the_bias():
     _, estimates = fly("rest", 30.0, "velocity")
     sigma = estimates["gyro_bias_sigma_rad_s"]
     assert sigma[-1].max() < 0.15 * sigma[10].max()
+
+
+@pytest.mark.parametrize("airframe", [Airframe.FIXED_WING, Airframe.MULTIROTOR])
+@pytest.mark.parametrize(("angle_deg", "frequency_hz"), [(10.0, 0.2), (30.0, 0.3), (45.0, 0.05)])
+def test_tilted_by_hand_drag_is_doubted(airframe, angle_deg, frequency_hz):
+    """Gravity along the axes is no wind: a vehicle on the bench shows its tilt to some degrees."""
+    t = np.arange(6000) / 100.0
+    angle = np.radians(angle_deg) * np.clip((t - 3.0) / 2.0, 0.0, 1.0)
+    roll = angle * np.sin(2.0 * np.pi * frequency_hz * t)
+    truth = quaternion_columns(np.stack([roll, np.zeros_like(t), np.zeros_like(t)], axis=1))
+    samples = empty(SAMPLE_DTYPE, len(t))
+    samples["time_ns"] = samples["received_ns"] = np.rint(t * 1e9)
+    samples["gyro_rad_s"] = 0.0
+    samples["gyro_rad_s"][:, 0] = np.gradient(roll, t)
+    gravity = np.tile([0.0, 0.0, -STANDARD_GRAVITY_M_S2], (len(t), 1))
+    samples["accel_m_s2"] = rotate_columns(inverse_columns(truth), gravity)
+    samples["airframe"] = airframe
+    estimates = empty(ESTIMATE_DTYPE, len(t))
+    ideal = coefficients(Calibration.ideal())
+    pipeline.batch(pipeline.parameters(Settings()), ideal, pipeline.new_state(), samples, estimates)
+    assert tilt_errors_deg(truth, estimates).max() < 3.0
