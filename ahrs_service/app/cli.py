@@ -16,6 +16,7 @@ COMMANDS: Final = {
     "run": ("ahrs_service.app.run", "serve attitude on a MAVLink link"),
     "replay": ("ahrs_service.app.replay", "run recordings (.tlog, .ulg, .bin) through the service"),
     "estimate": ("ahrs_service.app.estimate", "attitude of plain arrays (.npz in, .npz out)"),
+    "calibrate": ("ahrs_service.app.calibrate.command", "calibrate a sensor, or look at one"),
     "play": ("ahrs_service.app.play", "play a recording over a link in real time"),
     "simulate": ("ahrs_service.app.simulate", "fly the simulated autopilot over a link"),
 }

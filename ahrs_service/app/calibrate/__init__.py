@@ -1,0 +1,1 @@
+"""The procedures of `ahrs-service calibrate`, one file each; `command` picks one."""
