@@ -24,6 +24,7 @@ _LEAST_CLUSTERS: Final = 9
 _LEAST_SAMPLES: Final = 100
 _SEEN_SIGMA: Final = 2.0
 _CONFIDENCE: Final = 0.68
+_OCTAVES_SHARE: Final = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +127,8 @@ def fit_coefficients(values: Floats, interval_s: float) -> NoiseCoefficients:
     """Return N, B, K and Q of `values` [N] from octave-spaced overlapping Allan variances.
 
     Non-negative least squares of the squares, each variance weighted by its own uncertainty
-    sigma^2 sqrt(2 / freedom). Octaves apart, estimates are nearly independent.
+    sigma^2 sqrt(2 / freedom), and by another sqrt(2) since estimates an octave apart share half of
+    their differences.
     """
     curve = overlapping_deviation(values, interval_s, averaging_factors(len(values)))
     tau, variance = curve.tau_s, curve.deviation**2
@@ -136,7 +138,7 @@ def fit_coefficients(values: Floats, interval_s: float) -> NoiseCoefficients:
         return NoiseCoefficients(*([0.0] * 8))
     squares, _ = nnls(model / spread[:, None], variance / spread)
     # A second round weights by the fitted curve, for a low estimate must not weigh more.
-    spread = (model @ squares) * np.sqrt(2.0 / curve.freedom)
+    spread = (model @ squares) * np.sqrt(_OCTAVES_SHARE * 2.0 / curve.freedom)
     squares, sigmas = _seen(model / spread[:, None], variance / spread)
     found = [_root_and_sigma(*pair) for pair in zip(squares.tolist(), sigmas.tolist(), strict=True)]
     (n, n_sigma), (b, b_sigma), (k, k_sigma), (q, q_sigma) = found

@@ -8,6 +8,7 @@ import pytest
 from ahrs_service.calibration.columns import ImuColumns
 from ahrs_service.calibration.poses import POSE_DTYPE
 from ahrs_service.records import empty
+from ahrs_service.sensor.parameters import TriadCalibration
 from ahrs_service.simulation.imu import Imu, consumer_grade
 from ahrs_service.simulation.scenario import make_flight
 
@@ -35,8 +36,8 @@ def warm(imu):
     """The sensor at its room temperature: matrix and bias alone."""
     calibration = imu.calibration
     plain = {
-        name: replace(getattr(calibration, name), temperature_degc=(), a=(), b=(), c=())
-        for name in ("gyro", "accel")
+        name: TriadCalibration(matrix=triad.matrix, bias=triad.bias)
+        for name, triad in (("gyro", calibration.gyro), ("accel", calibration.accel))
     }
     return replace(imu, calibration=replace(calibration, **plain), propeller=None)
 

@@ -64,7 +64,7 @@ def test_rounding_falls_with_time():
 
 def test_the_coefficients_come_back_and_their_confidence_is_honest():
     """Many records of one sensor: how far N and K lie off, in their own sigmas."""
-    density, walk = 1e-3, 2e-4
+    density, walk = 1e-3, 1e-3
     errors = []
     for seed in range(40):
         found = fit_coefficients(noise(20_000, seed=seed, density=density, walk=walk), 0.01)
