@@ -50,8 +50,9 @@ Log = Callable[[str, str], None]
 class Daemon:
     """The service on one link; `run` serves until `stop`.
 
-    `on_estimate` is given every estimate [1], a view that the next one overwrites. `session`,
-    `health`, `latest`, `component`, `decoder` and `link` can be looked at meanwhile;
+    `on_reading` is given every reading [1] and `on_estimate` every estimate [1], views that the
+    next one overwrites. `session`, `health`, `latest`, `component`, `decoder` and `link` can be
+    looked at meanwhile;
     `forged_marks` counts frames that were kept out of the recording (links.session_marks).
     """
 
@@ -60,6 +61,7 @@ class Daemon:
         settings: Settings,
         log: Log,
         on_estimate: Callable[[Rows], None] | None = None,
+        on_reading: Callable[[Rows], None] | None = None,
     ) -> None:
         self.settings = settings
         self.session = Session()
@@ -76,6 +78,7 @@ class Daemon:
         self._encoder: Encoder | None = None
         self._log = log
         self._on_estimate = on_estimate
+        self._on_reading = on_reading
         self.ready = asyncio.Event()
         self._stop = asyncio.Event()
         self._started_s = time.monotonic()
@@ -154,6 +157,8 @@ class Daemon:
         elif self.recorder is not None:
             self.recorder.write(received_us, frame)
         if readings.from_message(message, received_us * 1000, self._rows):
+            if self._on_reading is not None:
+                self._on_reading(self._rows)
             estimates = self.estimator.take(self._rows)
             if len(estimates):
                 self._use(estimates, started_s)

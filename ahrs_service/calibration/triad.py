@@ -45,6 +45,11 @@ class TriadFit:
         return {name: error for name, error in zip(NAMES, errors, strict=True) if error > 0.0}
 
 
+def ideal() -> TriadFit:
+    """Return the triad whose output is its input."""
+    return TriadFit(np.eye(3), np.zeros(3), np.zeros((12, 12)), 0.0, 1.0)
+
+
 def fit_triad(design: Floats, output: Floats) -> TriadFit:
     """Return K and B of output [M, 3] = design [M, 4] [K B]^T by least squares, all axes alike.
 

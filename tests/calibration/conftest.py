@@ -73,13 +73,3 @@ def poses_of(force, gyro=None, degc=25.0, hold_s=3.0):
     poses["first"] = 100.0 * poses["start_s"]
     poses["last"] = 100.0 * poses["stop_s"]
     return poses
-
-
-def cut(columns, first, last):
-    place = slice(first, last)
-    return ImuColumns(
-        columns.time_s[place],
-        columns.gyro_rad_s[place],
-        columns.accel_m_s2[place],
-        columns.temperature_degc[place],
-    )
