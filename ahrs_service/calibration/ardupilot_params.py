@@ -139,8 +139,8 @@ def _triad_values(names: Names, triad: Triad, fitted: TriadForm, room_degc: floa
 def _check_accel(offset: Floats, scale: Floats) -> None:
     if np.abs(offset).max() > LARGEST_OFFSET_M_S2:
         raise ValueError(
-            f"accelerometer offsets {np.round(offset, 3).tolist()} m/s^2: ArduPilot takes at most "
-            f"{LARGEST_OFFSET_M_S2}; was the calibration made in m/s^2?"
+            f"accelerometer offsets {(np.round(offset, 3) + 0.0).tolist()} m/s^2: ArduPilot takes "
+            f"at most {LARGEST_OFFSET_M_S2}; was the calibration made in m/s^2?"
         )
     if scale.min() < SCALES[0] or scale.max() > SCALES[1]:
         raise ValueError(
@@ -214,4 +214,4 @@ def from_ardupilot(
     room = Calibration().room_degc
     if (span := forms["accel"].span_degc) is not None:
         room = min(max(parameters[Names(imu).caltemp("accel")], span[0]), span[1])
-    return form_of.both_as_calibration(forms, turn, room)
+    return form_of.as_calibration(forms, turn, room)

@@ -13,8 +13,9 @@ AP_InertialSensor_tempcal.cpp (correct_sensor); PX4 src/lib/sensor_calibration/A
 
 import itertools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, cast
 
 import numpy as np
 from numpy.polynomial import Legendre, Polynomial, legendre
@@ -23,7 +24,12 @@ from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.records import Floats
 from ahrs_service.sensor.curve import POWERS, Curve
 from ahrs_service.sensor.forward import forward_columns
-from ahrs_service.sensor.parameters import Calibration, TriadCalibration, coefficients
+from ahrs_service.sensor.parameters import (
+    Calibration,
+    Matrix,
+    TriadCalibration,
+    coefficients,
+)
 
 Triad = Literal["gyro", "accel"]
 
@@ -118,13 +124,13 @@ def bench(
     triad: Triad,
     body_from_sensor: Floats,
     below: TriadForm | None = None,
+    span: tuple[float, float] | None = None,
 ) -> Bench:
-    """Return the outputs of a sensor that `calibration` (in body axes) describes.
+    """Return the outputs over `span` [degC] of the sensor that `calibration` (body axes) describes.
 
     `below` is an autopilot's calibration that had worked on the output before `calibration` was
     made from it; `raw` is then that from before it, so that a form fitted replaces both.
     """
-    span = joint_span(getattr(calibration, triad).span_degc, below.span_degc if below else None)
     t = np.array([calibration.room_degc]) if span is None else np.linspace(*span, _STEPS)
     if triad == "accel":
         value = force = STANDARD_GRAVITY_M_S2 * _UNIT
@@ -156,26 +162,26 @@ def joint_span(*spans: tuple[float, float] | None) -> tuple[float, float] | None
 
 
 def fit(made: Bench, reference_degc: float, weights: Floats | None = None) -> TriadForm:
-    """Return the form whose compensated values differ least from the inputs.
+    """Return the form that explains the outputs best.
 
     Least squares over all inputs and temperatures, each temperature of the span alike or by
-    `weights` [n of `made`]: per axis value = scale raw - scale bias(T), linear in the scale and in
-    scale bias(T), whose cubic is taken in Legendre's polynomials over the span; scale 1 for gyros.
+    `weights` [n of `made`]: per axis raw = value / scale + bias(T), the cubic taken in Legendre's
+    polynomials over the span; scale 1 for gyros.
     """
     w = np.ones(len(made.raw)) if weights is None else np.sqrt(weights)
     low, high = made.span_degc or (reference_degc, reference_degc + 1.0)
     x = (2.0 * made.temperature_degc - low - high) / (high - low)
     columns = legendre.legvander(x, POWERS - 1 if made.span_degc else 0)
+    domain = (low - reference_degc, high - reference_degc)
     scale, powers = np.ones(3), np.zeros((POWERS, 3))
     for axis in range(3):
         value, raw = made.value[:, axis], made.raw[:, axis]
         if made.triad == "accel":
-            design = np.column_stack([raw, -columns])
-            solved = np.linalg.lstsq(design * w[:, None], value * w, rcond=None)[0]
-            scale[axis], series = solved[0], solved[1:] / solved[0]
+            design = np.column_stack([columns, value])
+            *series, inverse = np.linalg.lstsq(design * w[:, None], raw * w, rcond=None)[0]
+            scale[axis] = 1.0 / inverse
         else:
             series = np.linalg.lstsq(columns * w[:, None], (raw - value) * w, rcond=None)[0]
-        domain = (low - reference_degc, high - reference_degc)
         power = Legendre(series, domain).convert(kind=Polynomial, domain=(-1, 1)).coef
         powers[: len(power), axis] = power
     form = TriadForm(scale, powers, reference_degc, made.span_degc)
@@ -224,12 +230,23 @@ def _slopes(error: Floats, value: Floats) -> Floats:
     return products / squares[:, None, None]
 
 
-def as_calibration(form: TriadForm, body_from_sensor: Floats, room_degc: float) -> TriadCalibration:
-    """Return our calibration, in body axes, that compensates exactly as `form` does.
+def as_calibration(
+    forms: Mapping[Triad, TriadForm], body_from_sensor: Floats, room_degc: float
+) -> Calibration:
+    """Return our calibration, in body axes, that compensates exactly as the forms of both triads.
 
     The bias at `room_degc` is B, what temperature adds to it c(T); K is diagonal in the
     sensor's axes.
     """
+    gyro, accel = (
+        _triad_calibration(forms[triad], body_from_sensor, room_degc) for triad in ("gyro", "accel")
+    )
+    return Calibration(gyro=gyro, accel=accel, room_degc=room_degc)
+
+
+def _triad_calibration(
+    form: TriadForm, body_from_sensor: Floats, room_degc: float
+) -> TriadCalibration:
     matrix = body_from_sensor @ np.diag(1.0 / form.scale) @ body_from_sensor.T
     bias = body_from_sensor @ form.bias(np.array([room_degc]))[0]
     curve = Curve()
@@ -241,7 +258,7 @@ def as_calibration(form: TriadForm, body_from_sensor: Floats, room_degc: float) 
         in_body = (moved @ body_from_sensor.T)[::-1, None, :]
         curve = Curve.from_ppoly((low, high), in_body).plus(-bias)
     return TriadCalibration(
-        matrix=tuple(map(tuple, matrix.tolist())),
+        matrix=cast(Matrix, tuple(map(tuple, matrix.tolist()))),
         bias=tuple(bias.tolist()),
         c=curve,
         model="" if form.span_degc is None else "cubic",
@@ -255,3 +272,22 @@ def _moved(powers: Floats, step: float) -> Floats:
         for j in range(k + 1):
             moved[j] += math.comb(k, j) * power * step ** (k - j)
     return moved
+
+
+def lag_remarks(calibration: Calibration) -> tuple[str, ...]:
+    """Say what is lost where our model knows a lag of the thermometer: no autopilot does."""
+    remarks = []
+    for triad, unit in (("gyro", "deg/s"), ("accel", "m/s^2")):
+        made: TriadCalibration = getattr(calibration, triad)
+        if made.thermal_lag_s == 0.0 or made.span_degc is None:
+            continue
+        low, high = made.span_degc
+        t = np.linspace(low, high, _STEPS)
+        slope = float(np.abs(np.diff(made.c.at(t), axis=0)).max() / (t[1] - t[0]))
+        error = slope * abs(made.thermal_lag_s) / 60.0
+        error = math.degrees(error) if triad == "gyro" else error
+        remarks.append(
+            f"{triad}: the lag of {made.thermal_lag_s:.0f} s between sensor and thermometer is not "
+            f"carried; while it warms by 1 degC a minute that is up to {error:.2g} {unit}"
+        )
+    return tuple(remarks)
