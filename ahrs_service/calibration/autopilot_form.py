@@ -178,14 +178,25 @@ def fit(made: Bench, reference_degc: float, weights: Floats | None = None) -> Tr
         value, raw = made.value[:, axis], made.raw[:, axis]
         if made.triad == "accel":
             design = np.column_stack([columns, value])
-            *series, inverse = np.linalg.lstsq(design * w[:, None], raw * w, rcond=None)[0]
+            *series, inverse = _solved(design * w[:, None], raw * w)
             scale[axis] = 1.0 / inverse
         else:
-            series = np.linalg.lstsq(columns * w[:, None], (raw - value) * w, rcond=None)[0]
+            series = _solved(columns * w[:, None], (raw - value) * w)
         power = Legendre(series, domain).convert(kind=Polynomial, domain=(-1, 1)).coef
         powers[: len(power), axis] = power
     form = TriadForm(scale, powers, reference_degc, made.span_degc)
     return _without_rounding(form)
+
+
+def _solved(design: Floats, target: Floats) -> list[float]:
+    """Return the least squares solution, refined once.
+
+    Far from the reference small errors grow: 2000 times over 11 degC that lie 65 degC below it.
+    """
+    first = np.linalg.lstsq(design, target, rcond=None)[0]
+    second = np.linalg.lstsq(design, target - design @ first, rcond=None)[0]
+    solution: list[float] = (first + second).tolist()
+    return solution
 
 
 def _without_rounding(form: TriadForm) -> TriadForm:
