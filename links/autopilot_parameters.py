@@ -42,7 +42,7 @@ def ardupilot_ins(imus: int = 2) -> dict[str, ParamValue]:
     return values
 
 
-def px4_calibration(imus: int = 2, first_id: int = 4259850) -> dict[str, ParamValue]:
+def px4_calibration(imus: int = 3, first_id: int = 4259850) -> dict[str, ParamValue]:
     """Return PX4's calibration parameters of the first IMUs, as they are when new."""
     values = {name: ParamValue(0.0, INT32) for name in ("TC_A_ENABLE", "TC_G_ENABLE")}
     values["SENS_BOARD_ROT"] = ParamValue(0.0, INT32)

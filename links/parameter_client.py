@@ -24,13 +24,18 @@ WINDOW: Final = 8
 """Requests under way at once: ArduPilot queues 20, a slow radio takes fewer."""
 ATTEMPTS: Final = 8
 ANSWER_S: Final = 0.4
-"""How long the first attempt waits; each further one 1.3 times as long."""
+GROWTH: Final = 1.3
+"""How long the first attempt waits, and by how much longer each further one: 9.5 s in all."""
 VEHICLE_S: Final = 10.0
 SILENCE_S: Final = 4.0
 """Without a heartbeat for so long the vehicle is gone."""
 _HEARTBEAT_S: Final = 1.0
 _INVALID: Final = int(dialect.MAV_AUTOPILOT_INVALID)
 _NAMES: Final = {ARDUPILOT: "ArduPilot", PX4: "PX4"}
+
+
+def _patience_s(attempt: int) -> float:
+    return ANSWER_S * GROWTH**attempt
 
 
 class ParameterClient:
@@ -46,11 +51,8 @@ class ParameterClient:
         uri: str,
         say: Callable[[str], None] = lambda text: None,
         signer: Signer | None = None,
-        answer_s: float = ANSWER_S,
-        vehicle_s: float = VEHICLE_S,
     ) -> None:
         self.autopilot, self.system, self.component = _INVALID, 0, 0
-        self._answer_s, self._vehicle_s = answer_s, vehicle_s
         self._say = say
         self._signer = signer
         self._encoder = Encoder(1, COMPONENT, signer)
@@ -71,10 +73,10 @@ class ParameterClient:
         """Open the link and wait for an autopilot."""
         await self._link.start()
         self._beat = asyncio.create_task(self._keep_beating())
-        if not await self._until(lambda: self.system != 0, self._vehicle_s):
+        if not await self._until(lambda: self.system != 0, VEHICLE_S):
             await self._close()
             raise ParamError(
-                f"{self._link.uri}: no heartbeat of an autopilot in {self._vehicle_s:.0f} s; check "
+                f"{self._link.uri}: no heartbeat of an autopilot in {VEHICLE_S:.0f} s; check "
                 "that it is switched on, that the other end of the link is right, and that no "
                 "other program holds it"
             )
@@ -156,9 +158,6 @@ class ParameterClient:
                     await self._news.wait()
         return holds()
 
-    def _patience_s(self, attempt: int) -> float:
-        return self._answer_s * 1.3**attempt
-
     async def read(self, names: Iterable[str]) -> dict[str, ParamValue]:
         """Return the values as they are now, in this order; a name that is missing has none.
 
@@ -171,7 +170,7 @@ class ParameterClient:
         for attempt in range(ATTEMPTS):
             missing = self._missing(wanted)
             for start in range(0, len(missing), WINDOW):
-                await self._ask(missing[start : start + WINDOW], self._patience_s(attempt))
+                await self._ask(missing[start : start + WINDOW], _patience_s(attempt))
         missing = self._missing(wanted)
         if missing and not await self.is_alive():
             raise ParamError(
@@ -212,10 +211,10 @@ class ParameterClient:
             self._send(message)
             # An answer to an earlier request may still be under way: only the wanted value ends it.
             is_set = partial(self._is_set, name, wanted)
-            if await self._until(is_set, self._patience_s(attempt)):
+            if await self._until(is_set, _patience_s(attempt)):
                 break
             if name in self._told:
-                await self._ask_anew(name, self._patience_s(attempt))
+                await self._ask_anew(name, _patience_s(attempt))
                 if attempt and self._told.get(name) != wanted:
                     break
         if name in self._errors:

@@ -105,7 +105,7 @@ def to_ardupilot(
         losses[triad] = form_of.loss(bench, _form(values, names, triad, span is not None))
     if span is not None:
         values[names.tcal("ENABLE")] = _ENABLED
-    return Export(values, losses, (names.tcal("ENABLE"),), _remarks(calibration, span))
+    return Export(values, losses, (names.tcal("ENABLE"),), _remarks(names, calibration, span))
 
 
 def _check_span(span: tuple[float, float] | None) -> None:
@@ -149,17 +149,29 @@ def _check_accel(offset: Floats, scale: Floats) -> None:
         )
 
 
-def _remarks(calibration: Calibration, span: tuple[float, float] | None) -> tuple[str, ...]:
+def _remarks(
+    names: Names, calibration: Calibration, span: tuple[float, float] | None
+) -> tuple[str, ...]:
     remarks = [
         "ArduPilot measures INS_GYR*OFFS anew at every start unless INS_GYR_CAL is 0; with the "
         "thermal calibration on, what it finds holds at all temperatures"
     ]
     if span is None:
         remarks.append(
-            "the calibration has no thermal part: INS_TCAL*_ENABLE is set to 0, for the offsets "
-            "hold without ArduPilot's"
+            f"the calibration has no thermal part: {names.tcal('ENABLE')} is set to 0, for the "
+            "offsets hold without ArduPilot's"
         )
     return (*remarks, *form_of.lag_remarks(calibration))
+
+
+def all_names(imu: int) -> list[str]:
+    """Return the names of all that calibrates an IMU, and of what turns the board."""
+    names = Names(imu)
+    wanted = ["AHRS_ORIENTATION", *map(names.tcal, ("ENABLE", "TMIN", "TMAX"))]
+    for triad in _LETTERS:
+        wanted += [*names.vector(triad, "OFFS"), names.caltemp(triad)]
+        wanted += [name for k in _POWERS for name in names.power(triad, k)]
+    return [*wanted, *names.vector("accel", "SCAL")]
 
 
 def is_thermal(parameters: Mapping[str, float], imu: int = 1) -> bool:

@@ -200,9 +200,7 @@ def _solved(design: Floats, target: Floats) -> list[float]:
 
 
 def _without_rounding(form: TriadForm) -> TriadForm:
-    if form.span_degc is None:
-        return form
-    reach = max(abs(t - form.reference_degc) for t in form.span_degc)
+    reach = max((abs(t - form.reference_degc) for t in form.span_degc or ()), default=0.0)
     effect = np.abs(form.powers) * (reach ** np.arange(POWERS))[:, None]
     powers = np.where(effect < _NIL, 0.0, form.powers)
     return TriadForm(form.scale, powers, form.reference_degc, form.span_degc)

@@ -144,6 +144,34 @@ def thermal_slot(parameters: Mapping[str, float], triad: Triad, imu: int = 1) ->
     return next((n for n in IMUS if parameters.get(tc_id(triad, n)) == own), None)
 
 
+def known_ids(parameters: Mapping[str, float], imu: int = 1) -> dict[Triad, int]:
+    """Return the ids of an IMU's sensors, of those that the parameters tell."""
+    ids = {triad: int(parameters.get(device_id(triad, imu), 0)) for triad in _TC}
+    return {triad: number for triad, number in ids.items() if number}
+
+
+def all_names(imu: int) -> list[str]:
+    """Return the names of all that calibrates an IMU, and of what turns the board."""
+    names = ["SENS_BOARD_ROT", *(f"SENS_BOARD_{axis}_OFF" for axis in "XYZ")]
+    for triad in _TC:
+        names += [enable(triad), device_id(triad, imu), *_cal(triad, imu, "OFF")]
+        names += [tc_id(triad, n) for n in IMUS[:-1]]
+        names += [_tc(triad, imu, what) for what in ("TMIN", "TMAX", "TREF")]
+        names += [name for k in range(4) for name in _power(triad, imu, k)]
+    return [*names, *_cal("accel", imu, "SCALE")]
+
+
+def check_slots(parameters: Mapping[str, float], imu: int) -> None:
+    """Raise ValueError where PX4 would take another TC_* of the same sensor before this one."""
+    for triad in _TC:
+        slot = thermal_slot(parameters, triad, imu)
+        if slot not in (None, imu) and parameters.get(tc_id(triad, imu)):
+            raise ValueError(
+                f"{tc_id(triad, slot or imu)} is of the same sensor and PX4 takes the first of its "
+                "id: set it to 0 on the autopilot"
+            )
+
+
 def forms_of_px4(parameters: Mapping[str, float], imu: int = 1) -> dict[Triad, TriadForm]:
     """Return what PX4 does to each triad's output with these parameters.
 

@@ -193,7 +193,8 @@ def test_without_a_thermal_part_ardupilot_s_own_is_switched_off():
     assert export.values["INS_TCAL1_ENABLE"] == 0
     assert not [name for name in export.values if "ACC1_X" in name or "CALTEMP" in name]
     assert export.values["INS_ACCOFFS_X"] == F(0.1)
-    assert "INS_TCAL*_ENABLE is set to 0" in " ".join(export.remarks)
+    assert export.values["INS_ACCOFFS_Y"] == 0.0
+    assert "INS_TCAL1_ENABLE is set to 0" in " ".join(export.remarks)
 
 
 def test_a_calibration_made_on_top_of_ardupilot_s_replaces_both():

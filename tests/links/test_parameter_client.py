@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from links.autopilot_parameters import AutopilotParameters, ardupilot_ins, px4_calibration
 from links.errors import ParamError
-from links.mavlink_codec import Encoder, dialect
+from links.mavlink_codec import dialect
 from links.param_files import INT32, REAL32, ParamValue
 from links.parameter_client import ParameterClient
 from links.parameter_values import ARDUPILOT, PX4, decode, encode, param_name, rounded
@@ -19,43 +19,19 @@ from links.parameter_values import ARDUPILOT, PX4, decode, encode, param_name, r
 INT8 = int(dialect.MAV_PARAM_TYPE_INT8)
 
 
-class Far:
-    """An autopilot that beats and answers; `lose(message)` says what is lost on the way."""
-
-    def __init__(self, parameters, autopilot, vehicle):
-        self.parameters, self.vehicle = parameters, vehicle
-        self.heard, self.beats = [], True
-        self.lose_request = self.lose_answer = lambda message: False
-        self._autopilot = autopilot
-        self._encoder = Encoder(1, 1)
-        vehicle.answer = self._answer
-
-    def _answer(self, message):
-        if not message.get_type().startswith("PARAM_"):
-            return []
-        self.heard.append(message)
-        if self.lose_request(message):
-            return []
-        answers = self.parameters.on_message(message)
-        return [self._encoder.pack(m) for m in answers if not self.lose_answer(m)]
-
-    async def beat(self):
-        while True:
-            if self.beats:
-                message = dialect.MAVLink_heartbeat_message(2, self._autopilot, 0, 0, 4, 3)
-                self.vehicle.send(self._encoder.pack(message))
-            await asyncio.sleep(0.02)
-
-    def names(self, kind):
-        return [param_name(m.param_id) for m in self.heard if m.get_type() == kind]
+@pytest.fixture(autouse=True)
+def short_waits(monkeypatch):
+    monkeypatch.setattr("links.parameter_client.ANSWER_S", 0.05)
+    monkeypatch.setattr("links.parameter_client.SILENCE_S", 0.3)
 
 
 @asynccontextmanager
 async def conversation(live, folder, kind="udpin", autopilot=ARDUPILOT, limits=None):
     values = px4_calibration() if autopilot == PX4 else ardupilot_ins()
     vehicle = await live.Vehicle(kind, folder).prepare()
-    far = Far(AutopilotParameters(values, autopilot, limits), autopilot, vehicle)
-    client = ParameterClient(vehicle.uri, answer_s=0.05, vehicle_s=5.0)
+    parameters = AutopilotParameters(values, autopilot, limits)
+    far = live.FarAutopilot(parameters, autopilot, vehicle)
+    client = ParameterClient(vehicle.uri)
     if kind == "udpin":
         await client._link.start()
         await vehicle.meet(client._link.uri)
@@ -121,7 +97,7 @@ def test_lost_requests_and_lost_values_are_asked_for_again(live, tmp_path):
             for name in names[:9]:
                 wanted = ParamValue(0.1)
                 assert await client.write(name, wanted) == rounded(wanted)
-            assert len(far.names("PARAM_REQUEST_READ")) > len(names)
+            assert far.count("PARAM_REQUEST_READ") > len(names)
 
     run(scenario)
 
@@ -132,13 +108,13 @@ def test_a_late_answer_of_before_is_not_taken_for_the_answer(live, tmp_path):
     async def scenario():
         async with conversation(live, tmp_path) as (client, far):
             name = "INS_ACCOFFS_X"
-            old = far._answer
+            old = far.answer
 
             def late(message):
                 stale = far.parameters._value(name)
                 frames = old(message)
                 is_set = message.get_type() == "PARAM_SET"
-                return [far._encoder.pack(stale), *frames] if is_set else frames
+                return [far.encoder.pack(stale), *frames] if is_set else frames
 
             far.vehicle.answer = late
             assert await client.write(name, ParamValue(0.25)) == ParamValue(0.25)
@@ -162,7 +138,7 @@ def test_a_refusal_by_message_is_told_by_its_name(live, tmp_path):
                 1, 192, b"INS_ACCOFFS_X", -1, dialect.MAV_PARAM_ERROR_READ_ONLY
             )
             far.vehicle.answer = lambda message: (
-                [far._encoder.pack(error)] if message.get_type() == "PARAM_SET" else []
+                [far.encoder.pack(error)] if message.get_type() == "PARAM_SET" else []
             )
             with pytest.raises(ParamError, match=r"INS_ACCOFFS_X: refused .*READ_ONLY"):
                 await client.write("INS_ACCOFFS_X", ParamValue(1.0))
@@ -171,18 +147,17 @@ def test_a_refusal_by_message_is_told_by_its_name(live, tmp_path):
 
 
 def test_nobody_there_and_a_vehicle_that_falls_silent_are_told(live, tmp_path, monkeypatch):
-    monkeypatch.setattr("links.parameter_client.SILENCE_S", 0.3)
-
     async def scenario():
-        with pytest.raises(ParamError, match=r"no heartbeat of an autopilot in 0 s"):
-            async with ParameterClient("udpin:127.0.0.1:0", vehicle_s=0.1):
-                pass
         async with conversation(live, tmp_path) as (client, far):
-            far.beats, far.lose_request = False, lambda message: True
+            far.is_dead = True
             with pytest.raises(ParamError, match="fell silent before it told INS_ACCOFFS_X"):
                 await client.read(["INS_ACCOFFS_X"])
             with pytest.raises(ParamError, match=r"INS_ACCOFFS_X = 1\.0: no answer"):
                 await client.write("INS_ACCOFFS_X", ParamValue(1.0))
+        monkeypatch.setattr("links.parameter_client.VEHICLE_S", 0.1)
+        with pytest.raises(ParamError, match=r"no heartbeat of an autopilot in 0 s"):
+            async with ParameterClient("udpin:127.0.0.1:0"):
+                pass
 
     run(scenario)
 

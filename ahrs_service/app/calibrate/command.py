@@ -7,7 +7,13 @@ import argparse
 import importlib
 from typing import Final
 
-PROCEDURES: Final[dict[str, tuple[str, str]]] = {}
+PROCEDURES: Final[dict[str, tuple[str, str]]] = {
+    "export": ("ahrs_service.app.calibrate.export", "give a calibration to the autopilot"),
+    "import": (
+        "ahrs_service.app.calibrate.import_params",
+        "read a calibration from one",
+    ),
+}
 """Name of a procedure: the module that runs it, and what it does in a line.
 
 Each module has `add_arguments(parser)` and `run(arguments) -> exit code`.
