@@ -2,19 +2,21 @@
 
 import asyncio
 import socket
-import subprocess
-import sys
 from contextlib import asynccontextmanager
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from ahrs_service.app import calibration_file, cli
+from ahrs_service.app.simulate import LinkFlight
 from ahrs_service.calibration.ardupilot_params import to_ardupilot
 from ahrs_service.calibration.px4_params import to_px4
 from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration
 from ahrs_service.sensor.provenance import Verdict
+from ahrs_service.simulation.scenario import make_flight
+from links.autopilot import SimulatedAutopilot
 from links.autopilot_parameters import AutopilotParameters, ardupilot_ins, px4_calibration
 from links.param_files import ParamValue, read_param_file
 from links.parameter_values import ARDUPILOT, PX4, param_name, rounded
@@ -140,7 +142,7 @@ def test_lost_requests_and_answers_change_nothing(live, folder, capsys):
     def lose(message):
         key = (message.get_type(), param_name(message.param_id))
         seen[key] = seen.get(key, 0) + 1
-        return seen[key] % 2 == 1
+        return seen[key] % 4 == 1
 
     async def scenario():
         async with autopilot(live, folder) as far:
@@ -324,31 +326,25 @@ def test_a_recording_without_parameters_is_told(folder, simulated_tlog, capsys):
     assert "carries no parameters" in text_of(capsys)
 
 
-def test_over_a_real_port_between_two_processes(folder):
-    """The simulated autopilot and the export, each a program of its own."""
-    program = [sys.executable, "-m", "ahrs_service.app.cli"]
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    flight = subprocess.Popen(
-        [*program, "simulate", "--link", f"udpout:127.0.0.1:{port}", "--seconds", "60"],
-        cwd=folder,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        uri = f"udpin:127.0.0.1:{port}"
-        done = subprocess.run(
-            [*program, "calibrate", "export", "unit.toml", "--link", uri, "--yes"],
-            cwd=folder,
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
-    finally:
-        flight.terminate()
-        flight.wait()
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "written and read back" in done.stdout
+def test_against_the_simulated_autopilot_in_flight(folder, capsys):
+    """As `simulate` flies it, its other messages all around."""
+    flight = make_flight("flight", 30.0, seed=2, rate_hz=100.0)
+    vehicle = SimulatedAutopilot(flight.rows, flight.rate_hz)
+    vehicle.parameters.values["INS_GYROFFS_Z"] = ParamValue(0.125)
+
+    async def scenario():
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+            free.bind(("127.0.0.1", 0))
+            place = f"127.0.0.1:{free.getsockname()[1]}"
+        flown = LinkFlight(vehicle, f"udpout:{place}", 1.0, Console(quiet=True))
+        flying = asyncio.create_task(flown.fly())
+        code = await command("export", "unit.toml", "--link", f"udpin:{place}", "--yes")
+        flying.cancel()
+        return code
+
+    assert asyncio.run(scenario()) == 0
+    assert "written and read back" in text_of(capsys)
+    wanted = to_ardupilot(unit()).values
+    assert {n: vehicle.parameters.values[n].value for n in wanted} == wanted
     (backup,) = folder.glob("ardupilot-1-*.param")
-    assert read_param_file(backup)["INS_ACC1_CALTEMP"] == ParamValue(-300.0)
+    assert read_param_file(backup)["INS_GYROFFS_Z"] == ParamValue(0.125)

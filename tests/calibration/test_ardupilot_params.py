@@ -94,7 +94,7 @@ def test_by_hand():
     assert ardupilot(values, "accel", (1.0, 1.0, 1.0), 45.0)[0] == pytest.approx(0.86759, abs=1e-6)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=25)
 @given(
     parameter_sets(),
     st.tuples(*[floats(-20.0, 20.0)] * 3),
@@ -113,7 +113,7 @@ def test_an_import_compensates_as_ardupilot_does(parameters, raw, temperature, o
         np.testing.assert_allclose(ours[0], theirs, atol=3e-5)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=25)
 @given(parameter_sets())
 def test_import_then_export_gives_the_same_parameters(parameters):
     """To the last bit, but for coefficients whose effect over the span is below 1e-5 [unit]."""
@@ -132,7 +132,7 @@ def test_import_then_export_gives_the_same_parameters(parameters):
             assert unit * abs(back[name] - value) < 1e-11, name
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=25)
 @given(parameter_sets())
 def test_an_export_of_what_ardupilot_can_hold_loses_nothing(parameters):
     for loss in to_ardupilot(from_ardupilot(parameters)).losses.values():

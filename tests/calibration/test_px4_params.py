@@ -82,7 +82,7 @@ def test_by_hand():
     assert px4(values, "accel", (1.0, 1.0, 1.0), 35.0)[0] == pytest.approx(0.66, abs=1e-6)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=25)
 @given(
     parameter_sets(0.5),
     st.tuples(*[floats(-20.0, 20.0)] * 3),
@@ -99,7 +99,7 @@ def test_an_import_compensates_as_px4_does(parameters, raw, temperature, orienta
         np.testing.assert_allclose(ours[0], theirs, atol=3e-5)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=25)
 @given(parameter_sets())
 def test_import_then_export_gives_the_same_parameters(parameters):
     """To the last bit, but for coefficients whose effect over the span is below 1e-5 [unit]."""
