@@ -16,11 +16,13 @@ import numpy as np
 from ahrs_service import intake
 from ahrs_service.app.config_file import ConfigError
 from ahrs_service.calibration.columns import ImuColumns
+from ahrs_service.calibration.double_compensation import already_compensated
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.records import SAMPLE_DTYPE, ImuSource, Kind, Rows, empty
 from ahrs_service.settings import IntakeSettings
 from links.errors import RecordingError
+from links.recorded_parameters import read_recorded_parameters
 from links.recording_formats import KNOWN, read_recording
 
 _BETWEEN_RECORDINGS_S: Final = 1000.0
@@ -33,7 +35,10 @@ _E2: Final = 0.00669437999014
 
 @dataclass(frozen=True, slots=True)
 class Capture:
-    """IMU columns and where they come from: IMU message, sample rate [Hz], hash of the file."""
+    """IMU columns and where they come from: IMU message, sample rate [Hz], hash of the file.
+
+    `compensated` says what the autopilot had taken off these samples before, as far as is known.
+    """
 
     columns: ImuColumns
     path: Path
@@ -41,6 +46,7 @@ class Capture:
     source: str
     rate_hz: float
     notes: tuple[str, ...] = ()
+    compensated: tuple[str, ...] = ()
 
 
 def add_arguments(parser: argparse.ArgumentParser, many: bool = True) -> None:
@@ -83,7 +89,16 @@ def read_capture(path: Path, settings: IntakeSettings) -> Capture:
         )
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
-    return Capture(columns, path, digest, source, 1.0 / columns.interval_s, recording.notes)
+    told = read_recorded_parameters(path)
+    return Capture(
+        columns=columns,
+        path=path,
+        sha256=digest,
+        source=source,
+        rate_hz=1.0 / columns.interval_s,
+        notes=recording.notes,
+        compensated=tuple(already_compensated(told.values, ImuSource[source], told.autopilot)),
+    )
 
 
 def read_captures(arguments: argparse.Namespace) -> list[Capture]:

@@ -32,6 +32,11 @@ PROCEDURES: Final[dict[str, tuple[str, str]]] = {
         "random walks and bias instability of a unit at rest",
     ),
     "noise": ("ahrs_service.app.calibrate.noise", "S() of the gate's thresholds, noise densities"),
+    "export": ("ahrs_service.app.calibrate.export", "give a calibration to the autopilot"),
+    "import": (
+        "ahrs_service.app.calibrate.import_params",
+        "read a calibration from one",
+    ),
 }
 """Name of a procedure: the module that runs it, and what it does in a line.
 

@@ -66,7 +66,7 @@ def calibrate(captures: list[capture.Capture], arguments: argparse.Namespace) ->
     columns, found = poses.still_poses(captures)
     accel = fit_accelerometer(found, gravity)
     fits, triads = {"accel": accel}, [judge_accelerometer(found, accel, gravity)]
-    remarks = list(poses.remarks(found))
+    remarks = list(poses.remarks(captures, found))
     slow = [one for one in captures if not one.rate_hz >= poses.LEAST_TURN_HZ]
     if slow and not arguments.no_gyro:
         text = (

@@ -35,21 +35,31 @@ def still_poses(captures: list[Capture]) -> tuple[ImuColumns, Rows]:
     return columns, poses
 
 
-def remarks(poses: Rows) -> tuple[Finding, ...]:
-    """Say what the temperatures of the poses mean."""
+def remarks(captures: list[Capture], poses: Rows) -> tuple[Finding, ...]:
+    """Say what the autopilot had done to the samples, and what their temperatures mean."""
+    return (*on_autopilot(captures), _on_temperature(poses))
+
+
+def on_autopilot(captures: list[Capture]) -> tuple[Finding, ...]:
+    """Say what the autopilot had done to the samples before it recorded them."""
+    told = dict.fromkeys(text for capture in captures for text in capture.compensated)
+    return tuple(Finding(Level.WARNING, text) for text in told)
+
+
+def _on_temperature(poses: Rows) -> Finding:
     span = span_of(poses)
     if span is None:
         text = "the temperature of the IMU is not known, so neither is where this holds"
-        return (Finding(Level.WARNING, text),)
+        return Finding(Level.WARNING, text)
     low, high = span
     if high - low > _WARM_K:
         text = (
             f"the IMU went from {low:.0f} to {high:.0f} degC during the poses, and its errors with "
             "it: let it warm up before, or calibrate over temperature (calibrate thermal)"
         )
-        return (Finding(Level.WARNING, text),)
+        return Finding(Level.WARNING, text)
     text = f"holds at {low:.0f} to {high:.0f} degC; nothing is known of other temperatures"
-    return (Finding(Level.NOTE, text),)
+    return Finding(Level.NOTE, text)
 
 
 def temperature_of(poses: Rows) -> float:

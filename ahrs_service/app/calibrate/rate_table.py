@@ -86,7 +86,8 @@ def run(arguments: argparse.Namespace) -> int:
     fit, lags_s = fit_encoder(mountings)
     told = ", ".join(f"{1e3 * lag_s:+.1f} ms" for lag_s in lags_s)
     remark = Finding(Level.NOTE, f"the recordings are late against the encoder by {told}")
-    verdict = judge("rate-table", (judge_encoder(mountings, fit, lags_s),), (remark,))
+    remarks = (*poses.on_autopilot(captures), remark)
+    verdict = judge("rate-table", (judge_encoder(mountings, fit, lags_s),), remarks)
     return outcome.finish(verdict, {"gyro": fit}, captures, arguments, _degc(captures))
 
 
@@ -98,7 +99,9 @@ def _from_rates(
     truth = np.concatenate([true for true, _ in found])
     measured = np.concatenate([seen for _, seen in found])
     fit = fit_plateaus(truth, measured)
-    verdict = judge("rate-table", (judge_plateaus(truth, measured, fit),))
+    verdict = judge(
+        "rate-table", (judge_plateaus(truth, measured, fit),), poses.on_autopilot(captures)
+    )
     return outcome.finish(verdict, {"gyro": fit}, captures, arguments, _degc(captures))
 
 

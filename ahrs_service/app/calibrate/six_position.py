@@ -57,7 +57,7 @@ def calibrate(captures: list[capture.Capture], arguments: argparse.Namespace) ->
     columns, found = poses.still_poses(captures)
     accel = fit_accelerometer(found, gravity)
     fits, triads = {"accel": accel}, [judge_accelerometer(found, accel, gravity)]
-    remarks = list(poses.remarks(found))
+    remarks = list(poses.remarks(captures, found))
     if not arguments.no_turns:
         gyro, verdict = _gyro(columns, found, accel, captures, arguments.turn)
         if gyro is None:
