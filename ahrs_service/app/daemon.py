@@ -164,7 +164,7 @@ class Daemon:
                 self._use(estimates, started_s)
         now_s = time.monotonic()
         for reply in self.component.on_message(message, now_s):
-            self._send(reply)
+            self.send(reply)
         if self.component.is_vehicle(message):
             self.link.confirm(peer)
             if self.observer is not None:
@@ -178,7 +178,7 @@ class Daemon:
         if int(estimate["phase"]) == Phase.RUNNING:
             sent = 0
             for message in self.component.publish(estimate):
-                sent += self._send(message)
+                sent += self.send(message)
             if sent:
                 self.session.latency.add(time.perf_counter() - started_s)
                 self.session.published += sent
@@ -193,7 +193,7 @@ class Daemon:
         if self._on_estimate is not None:
             self._on_estimate(estimates)
 
-    def _send(self, message: Any) -> bool:
+    def send(self, message: Any) -> bool:
         """Pack and send one message; the system is known from the adoption on."""
         if self._encoder is None:
             self._encoder = Encoder(
@@ -246,7 +246,7 @@ class Daemon:
     def _tick(self, now_s: float) -> None:
         """Do what is due by time and not by a message."""
         for message in self.component.tick(now_s, _MAV_STATE[self.health.state]):
-            self._send(message)
+            self.send(message)
         for level, text in self.component.drain_events():
             self._say(level, text)
         change = self.health.update(self.component.system != 0, now_s)

@@ -40,6 +40,7 @@ _FALSE_ALARM: Final = 1e-6
 _LEAST_SAMPLES: Final = 8
 _LEAST_WINDOWS: Final = 5
 _LATTICE: Final = 1000
+_FLAT: Final = 1e-12
 _NEAR_RAD: Final = math.radians(45.0)
 
 
@@ -138,12 +139,16 @@ def _moments(values: Floats, length: int) -> tuple[Floats, Floats]:
 
 
 def _floor(values: Floats, scatter: Floats) -> Floats:
-    """Noise of a sample [3]: the scatter of the quietest tenth, at least that of its rounding."""
-    count = min(len(scatter), max(_LEAST_WINDOWS, len(scatter) // 10))
-    if not count:
-        return np.full(3, np.nan)
-    quiet = np.sort(scatter, axis=0)[:count]
-    floor: Floats = np.maximum(np.median(quiet, axis=0), resolution(values) / math.sqrt(12.0))
+    """Noise of a sample [3]: the scatter of the quietest tenth, at least that of its rounding.
+
+    Windows without any scatter do not count: they are rounded flat, or at an end of the range.
+    """
+    floor = resolution(values) / math.sqrt(12.0)
+    for axis in range(3):
+        alive = np.sort(scatter[scatter[:, axis] > _FLAT, axis])
+        if len(alive):
+            quiet = alive[: max(_LEAST_WINDOWS, len(alive) // 10)]
+            floor[axis] = max(floor[axis], float(np.median(quiet)))
     return floor
 
 
@@ -260,7 +265,7 @@ def check_clipped_poses(columns: ImuColumns, poses: Rows) -> None:
     for name, values, scatter in parts:
         step = resolution(values)
         for axis in range(3):
-            flat = scatter[:, axis] == 0.0
+            flat = scatter[:, axis] < _FLAT
             noisy = scatter[~flat, axis]
             if flat.any() and len(noisy) and np.median(noisy) > step[axis]:
                 raise CalibrationError(

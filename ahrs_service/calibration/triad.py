@@ -1,5 +1,6 @@
 """A fitted triad: matrix and bias of N = K A + B with covariance, however they were found."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -112,6 +113,15 @@ def check_matrix(name: str, fit: TriadFit, what_to_do: str) -> None:
         f"{name}: the fit asks for {fit.matrix[row, column]:.2f} where the input along "
         f"{AXES[column]} meets the output of {AXES[row]}: {what_to_do}"
     )
+
+
+def check_sigma(name: str, fit: TriadFit, largest: float, unit: str) -> None:
+    """Raise CalibrationError where the fit leaves a residual [unit] larger than `largest`."""
+    if math.isfinite(fit.sigma) and fit.sigma > largest:
+        raise CalibrationError(
+            f"{name}: the best fit still leaves {fit.sigma:.2g} {unit} where a sound sensor held "
+            "still leaves a tenth of it: is an axis dead, or was the unit moving? record again"
+        )
 
 
 def vector(values: Floats) -> Vector:

@@ -39,6 +39,7 @@ from ahrs_service.calibration.columns import ImuColumns
 from ahrs_service.calibration.guide import Guidance
 from ahrs_service.records import READING_DTYPE, Rows, empty
 from ahrs_service.settings import IntakeSettings, PublishSettings, RecorderSettings, Settings
+from links.mavlink_codec import dialect
 
 Guide = Callable[[ImuColumns], Guidance]
 Calibrate = Callable[[list[Capture], argparse.Namespace], int]
@@ -144,8 +145,14 @@ class Session:
 
     async def _look(self) -> None:
         """Look at what came, now and then, until nothing is missing."""
+        asked = False
         while not self._guidance.done:
             await asyncio.sleep(_LOOK_S)
+            if self._daemon.component.system and not asked:
+                # The answers are recorded, and tell what the autopilot takes off its samples.
+                asked = True
+                system, component = self._daemon.component.vehicle
+                self._daemon.send(dialect.MAVLink_param_request_list_message(system, component))
             if self._count > self._seen:
                 self._seen = self._count
                 columns, _ = columns_of(self._readings[: self._count], self._intake)
