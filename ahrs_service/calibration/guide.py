@@ -140,11 +140,12 @@ def _turns(
     refusals = []
     for k in range(len(poses) - 1):
         try:
-            turns, _ = find_turns(columns, poses[k : k + 2], ideal(), unit_deg)
+            turns = find_turns(columns, poses[k : k + 2], ideal(), unit_deg)
         except CalibrationError as error:
             refusals.append(Refusal(float(poses["start_s"][k + 1]), str(error)))
             continue
-        for turn in turns:
+        refusals += [Refusal(float(poses["start_s"][k + 1]), why) for why in turns.left_out]
+        for turn in turns.truth:
             count["xyz"[int(np.argmax(np.abs(turn)))]] += 1
     return count, refusals
 

@@ -185,7 +185,6 @@ def bad(name):
             change(six, accel_m_s2=np.clip(accel, -9.5, 9.5)),
             "set the sensor to a wider range",
         ),
-        "another turn": ("six-position", six, "say by how much you turn with --turn"),
     }[name]
 
 
@@ -201,15 +200,13 @@ def bad(name):
         "mG",
         "gyro at its end",
         "accelerometer at its end",
-        "another turn",
     ],
 )
 def test_bad_input_is_refused_in_a_sentence(name, calibrate, tmp_path):
     procedure, flight, says = bad(name)
     write_tlog(tmp_path / "bad.tlog", flight, RATES)
-    turn = ("--turn", "100") if name == "another turn" else ()
     out = tmp_path / "unit.toml"
-    code, plain, said = calibrate(procedure, tmp_path / "bad.tlog", "--out", out, *turn, "--json")
+    code, plain, said = calibrate(procedure, tmp_path / "bad.tlog", "--out", out, "--json")
     assert code == 1
     assert plain is None
     assert "refused: " in said
@@ -244,6 +241,14 @@ def test_what_the_autopilot_did_and_the_warm_up_are_told(calibrate, tmp_path):
     assert plain["words"].startswith("use with care: ")
     assert "from 20 to 32 degC during the poses" in plain["words"]
     assert plain["verdict"]["triads"][0]["span_degc"] == pytest.approx([20, 32], abs=1.5)
+
+
+def test_turns_by_another_angle_do_not_count(recordings, calibrate):
+    words = ("six-position", recordings / "six-position.tlog", "--turn", 250, "--json")
+    code, plain, _ = calibrate(*words)
+    assert code == 0
+    assert "say by how much you turn with --turn" in plain["words"]
+    assert set(plain["found"]) == {"accel"}
 
 
 def test_without_a_temperature_it_is_said(calibrate, tmp_path):
