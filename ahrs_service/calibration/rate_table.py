@@ -84,10 +84,11 @@ def plateaus(
         rate = float(known[np.argmin(np.abs(known - along))])
         miss = float(np.linalg.norm(mean - rate * unit))
         if miss > max(_LARGEST_MISS * abs(rate), _LEAST_RATE_RAD_S):
+            given = ", ".join(f"{r:g}" for r in np.degrees(known))
             size = math.degrees(float(np.linalg.norm(mean)))
             raise CalibrationError(
                 f"a steady turn of {size:.1f} deg/s, {math.degrees(along):.1f} deg/s of it about "
-                f"the table's axis, is none of those given ({', '.join(f'{r:g}' for r in np.degrees(known))} deg/s): check the "
+                f"the table's axis, is none of those given ({given} deg/s): check the "
                 "axis, its sign, and the rates"
             )
         truth.append(rate * unit)
