@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 
 from ahrs_service.app import calibration_file, cli
+from ahrs_service.app.calibrate import parameter_change
 from ahrs_service.app.simulate import LinkFlight
 from ahrs_service.calibration.ardupilot_params import to_ardupilot
 from ahrs_service.calibration.px4_params import to_px4
@@ -18,8 +19,11 @@ from ahrs_service.sensor.provenance import Verdict
 from ahrs_service.simulation.scenario import make_flight
 from links.autopilot import SimulatedAutopilot
 from links.autopilot_parameters import AutopilotParameters, ardupilot_ins, px4_calibration
+from links.mavlink_codec import Decoder, Encoder
 from links.param_files import ParamValue, read_param_file
+from links.parameter_client import ParameterClient
 from links.parameter_values import ARDUPILOT, PX4, param_name, rounded
+from links.signing import Signer, key_from_text
 
 
 def unit(**fields):
@@ -120,6 +124,61 @@ def test_written_read_back_and_put_back_again(live, folder, capsys, kind, number
             assert far.parameters.values == before
 
     run(scenario())
+
+
+def test_an_import_over_a_link_is_what_the_autopilot_does(live, folder, capsys):
+    async def scenario():
+        async with autopilot(live, folder, number=PX4) as far:
+            words = ("--link", far.vehicle.uri)
+            assert await command("export", "unit.toml", *words, "--yes") == 0
+            assert await command("import", *words, "--out", "px4.toml", "--serial", "A7") == 0
+            assert await command("export", "px4.toml", *words, "--offsets-at", "25") == 0
+
+    run(scenario())
+    assert "the autopilot has these values already" in text_of(capsys)
+    assert calibration_file.load("px4.toml").gyro.span_degc == (-10.0, 60.0)
+
+
+def test_a_signed_link(live, folder, capsys, monkeypatch):
+    """Both ends hold the key; with another nobody is heard."""
+    (folder / "key.toml").write_text('[link]\nsigning_key = "open sesame"\n')
+    signer = Signer(key_from_text("open sesame"), 0)
+
+    async def scenario(*words):
+        async with autopilot(live, folder) as far:
+            far.encoder = Encoder(1, 1, signer)
+            far.vehicle._decoder = Decoder(signer, datagrams=True)
+            return await command("export", "unit.toml", "--link", far.vehicle.uri, *words)
+
+    assert asyncio.run(scenario("--config", "key.toml", "--yes")) == 0
+    assert "written and read back" in text_of(capsys)
+    monkeypatch.setattr("links.parameter_client.VEHICLE_S", 0.3)
+    (folder / "key.toml").write_text('[link]\nsigning_key = "another"\n')
+    assert asyncio.run(scenario("--config", "key.toml")) == 1
+    assert "no heartbeat of an autopilot" in text_of(capsys)
+
+
+def test_an_interruption_tells_how_far_it_came(live, folder, capsys):
+    """As by Ctrl-C, which cancels what runs."""
+    said = []
+
+    async def scenario():
+        async with autopilot(live, folder) as far, ParameterClient(far.vehicle.uri) as client:
+            changes = await parameter_change.plan(client, to_ardupilot(unit()).values)
+            far.lose_request = lambda message: far.count("PARAM_SET") > 5
+            writing = asyncio.create_task(
+                parameter_change.carry_out(client, changes, folder / "old.param", said.append)
+            )
+            while far.count("PARAM_SET") < 7:
+                await asyncio.sleep(0.01)
+            writing.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await writing
+
+    run(scenario())
+    assert said[0] == f"old values are in {folder / 'old.param'}"
+    assert said[1].startswith("interrupted. Written so far: INS_")
+    assert f"--restore {folder / 'old.param'} --link URI --yes" in said[1]
 
 
 def test_losses_and_what_no_autopilot_carries_are_told(live, folder, capsys):
