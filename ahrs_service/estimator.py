@@ -26,6 +26,7 @@ from ahrs_service.records import (
     empty,
 )
 from ahrs_service.sensor.parameters import Calibration, coefficients
+from ahrs_service.sensor.prior import narrow
 from ahrs_service.settings import Settings
 from ahrs_service.smoothing import Smoother
 
@@ -66,13 +67,15 @@ class Estimator:
 
     def configure(self, settings: Settings) -> None:
         """Take new settings from the next sample on."""
-        self._intake_parameters = intake.parameters(settings.intake, settings.gate)
-        self._pipeline_parameters = pipeline.parameters(settings)
+        self._settings = settings
+        self._intake_parameters = intake.parameters(settings.intake)
+        self._pipeline_parameters = narrow(pipeline.parameters(settings), self._calibration)
 
     def calibrate(self, calibration: Calibration) -> None:
         """Take another calibration from the next sample on; what was found of the sensor goes."""
         self._calibration = calibration
         self._coefficients = coefficients(calibration)
+        self.configure(self._settings)
         settings = self._pipeline_parameters[0]
         airframe = int(settings["airframe"])
         if airframe < 0:

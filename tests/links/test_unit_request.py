@@ -1,5 +1,7 @@
 """The board's number is asked for where a calibration may hang on it, until it is told."""
 
+import itertools
+
 import pytest
 
 from ahrs_service.settings import SensorSettings, Settings
@@ -35,7 +37,7 @@ def test_who_does_not_answer_is_asked_ever_less_and_not_for_ever(converse):
     flight.run(199.0)
     times = asked(flight)
     assert 7 <= len(times) <= ATTEMPTS
-    gaps = [b - a for a, b in zip(times, times[1:], strict=False)]
+    gaps = [b - a for a, b in itertools.pairwise(times)]
     assert gaps == pytest.approx([2.0**k for k in range(len(gaps))], abs=0.11)
     assert flight.component.unit == ""
 
