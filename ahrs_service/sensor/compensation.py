@@ -11,6 +11,7 @@ from ahrs_service.sensor.thermometer import acting_columns, forget_temperature, 
 
 _OUT_OF_RANGE: Final = int(Flag.TEMPERATURE_OUT_OF_RANGE)
 _IMU_CHANGED: Final = int(Flag.IMU_CHANGED)
+_UNCOMPENSATED: Final = int(Flag.UNCOMPENSATED)
 A: Final = 0
 B: Final = 3
 C: Final = 6
@@ -157,13 +158,24 @@ def compensate(
 
 @kernel
 def compensate_sample(coefficients: Rows, state: Record, sample: Record) -> int:
-    """Write `gyro_rad_s` and `accel_m_s2` of the state from a sample; return the sample's flags."""
-    if sample["flags"] & _IMU_CHANGED != 0:
+    """Write `gyro_rad_s` and `accel_m_s2` of the state from a sample; return the sample's flags.
+
+    What comes of an IMU that the calibration is not of is taken as it is, and flagged; so is what
+    lacks the temperature on which its drift depends.
+    """
+    row, flags = coefficients[0], sample["flags"]
+    if row["holds_for_source"][sample["source"]] == 0:
+        for i in range(3):
+            state["gyro_rad_s"][i] = sample["gyro_rad_s"][i]
+            state["accel_m_s2"][i] = sample["accel_m_s2"][i]
+        return flags | _UNCOMPENSATED
+    if flags & _IMU_CHANGED != 0:
         forget_temperature(state)
-    gyro_degc, accel_degc = read_thermometer(
-        coefficients[0], state, sample["time_ns"], sample["temperature_degc"]
-    )
-    return sample["flags"] | compensate(
+    reported_degc = sample["temperature_degc"]
+    if math.isnan(reported_degc) and row["gyro"]["segments"] + row["accel"]["segments"] > 0:
+        flags |= _UNCOMPENSATED
+    gyro_degc, accel_degc = read_thermometer(row, state, sample["time_ns"], reported_degc)
+    return flags | compensate(
         coefficients,
         sample["gyro_rad_s"],
         sample["accel_m_s2"],
