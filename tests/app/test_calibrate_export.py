@@ -19,7 +19,7 @@ from ahrs_service.sensor.provenance import Verdict
 from ahrs_service.simulation.scenario import make_flight
 from links.autopilot import SimulatedAutopilot
 from links.autopilot_parameters import AutopilotParameters, ardupilot_ins, px4_calibration
-from links.mavlink_codec import Decoder, Encoder
+from links.mavlink_codec import Decoder, Encoder, dialect
 from links.param_files import ParamValue, read_param_file
 from links.parameter_client import ParameterClient
 from links.parameter_values import ARDUPILOT, PX4, param_name, rounded
@@ -136,7 +136,50 @@ def test_an_import_over_a_link_is_what_the_autopilot_does(live, folder, capsys):
 
     run(scenario())
     assert "the autopilot has these values already" in text_of(capsys)
-    assert calibration_file.load("px4.toml").gyro.span_degc == (-10.0, 60.0)
+    read = calibration_file.load("px4.toml")
+    assert read.gyro.span_degc == (-10.0, 60.0)
+    assert (read.uid, read.imu) == ("0123456789abcdef", 0)
+
+
+def test_a_calibration_of_another_board_is_refused(live, folder, capsys):
+    calibration_file.save("own.toml", unit(uid="0123456789abcdef", imu=1))
+    calibration_file.save("strange.toml", unit(uid="00000000000000aa"))
+
+    async def scenario():
+        async with autopilot(live, folder) as far:
+            words = ("--link", far.vehicle.uri, "--yes")
+            assert await command("export", "strange.toml", *words) == 1
+            assert not far.count("PARAM_SET")
+            assert await command("export", "own.toml", *words) == 0
+            assert far.parameters.values["INS_TCAL2_ENABLE"].value == 1.0
+            assert far.parameters.values["INS_TCAL1_ENABLE"].value == 0.0
+
+    run(scenario())
+    told = text_of(capsys)
+    assert "is of the board 00000000000000aa, at the link is 0123456789abcdef" in told
+
+
+def test_two_autopilots_on_a_link_need_a_choice(live, folder, capsys):
+    async def scenario():
+        async with autopilot(live, folder) as far:
+            message = dialect.MAVLink_heartbeat_message(2, ARDUPILOT, 0, 0, 4, 3)
+            second = Encoder(7, 1)
+            answer = far.answer
+
+            def both(asked):
+                is_asked = asked.get_type() == "PARAM_REQUEST_READ"
+                return [second.pack(message), *answer(asked)] if is_asked else answer(asked)
+
+            far.vehicle.answer = both
+            words = ("export", "unit.toml", "--link", far.vehicle.uri, "--yes")
+            assert await command(*words) == 1
+            assert not far.count("PARAM_SET")
+            assert await command(*words, "--system", "1") == 0
+
+    run(scenario())
+    told = text_of(capsys)
+    assert "autopilots of systems 1, 7 are on this link: say --system N" in told
+    assert "written and read back" in told
 
 
 def test_a_signed_link(live, folder, capsys, monkeypatch):
@@ -178,7 +221,7 @@ def test_an_interruption_tells_how_far_it_came(live, folder, capsys):
     run(scenario())
     assert said[0] == f"old values are in {folder / 'old.param'}"
     assert said[1].startswith("interrupted. Written so far: INS_")
-    assert f"--restore {folder / 'old.param'} --link URI --yes" in said[1]
+    assert f"--restore {folder / 'old.param'} --link udpout:127.0.0.1:" in said[1]
 
 
 def test_losses_and_what_no_autopilot_carries_are_told(live, folder, capsys):
@@ -225,7 +268,7 @@ def test_a_link_that_dies_in_the_middle_leaves_nothing_half_in_force(live, folde
             assert "no answer" in told
             assert "Written so far: INS_" in told
             assert "INS_TCAL1_ENABLE may be off" in told
-            assert "calibrate export --restore old.param --link URI --yes" in told
+            assert f"calibrate export --restore old.param --link {far.vehicle.uri} --yes" in told
             assert far.parameters.values["INS_TCAL1_ENABLE"].value == 0.0
             assert far.parameters.values != before
 

@@ -15,16 +15,17 @@ import datetime
 import hashlib
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 from rich.console import Console
 from rich.markup import escape
 
 from ahrs_service.app import calibration_file
+from ahrs_service.app.calibrate.conversion import parameters_of, rotation_of
 from ahrs_service.app.calibrate.export import (
     EXIT_DONE,
+    add_identity_options,
     calibration_parameters,
-    parameters_of,
-    rotation_of,
     signer_of,
 )
 from ahrs_service.calibration import ardupilot_params, px4_params
@@ -32,6 +33,9 @@ from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.sensor.provenance import Provenance, SourceRecording
 from links.errors import ParamError
 from links.parameter_client import ParameterClient
+
+_TOLD_APART: Final = 3
+"""How many IMUs have messages of their own."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--orientation", type=int, metavar="N", help="how the board is turned (default: as told)"
     )
-    parser.add_argument("--config", metavar="FILE", help="settings with link.signing_key, as TOML")
+    add_identity_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -56,8 +60,9 @@ def run(args: argparse.Namespace) -> int:
     provenance = Provenance(
         date=datetime.datetime.now(datetime.UTC).date().isoformat(), procedures=("import",)
     )
+    unit = ""
     if args.link is not None:
-        parameters, origin = asyncio.run(_over_link(args, out))
+        parameters, origin, unit = asyncio.run(_over_link(args, out))
     else:
         parameters, origin = parameters_of(args.source), args.source.name
         digest = hashlib.sha256(args.source.read_bytes()).hexdigest()
@@ -66,6 +71,8 @@ def run(args: argparse.Namespace) -> int:
     calibration = replace(
         _calibration(args, parameters, origin),
         serial=args.serial,
+        uid=unit,
+        imu=args.imu - 1 if args.imu <= _TOLD_APART else None,
         source=f"parameters of IMU {args.imu} in {origin}",
         provenance=provenance,
     )
@@ -86,12 +93,15 @@ def _calibration(
         raise ParamError(f"{origin}: {error}") from None
 
 
-async def _over_link(args: argparse.Namespace, out: Console) -> tuple[dict[str, float], str]:
+async def _over_link(args: argparse.Namespace, out: Console) -> tuple[dict[str, float], str, str]:
+    """Return the parameters, what told them, and the number of its board."""
+
     def say(text: str) -> None:
         out.print(escape(text), highlight=False, soft_wrap=True)
 
-    async with ParameterClient(args.link, say, signer_of(args.config)) as client:
-        return await calibration_parameters(client, args.imu), client.vehicle
+    async with ParameterClient(args.link, say, signer_of(args.config), args.system) as client:
+        parameters = await calibration_parameters(client, args.imu)
+        return parameters, client.vehicle, await client.unit()
 
 
 def _tell(calibration: Calibration, path: Path, out: Console) -> None:
