@@ -56,7 +56,7 @@ class Daemon:
     `on_reading` is given every reading [1] and `on_estimate` every estimate [1], views that the
     next one overwrites. `session`, `health`, `latest`, `component`, `calibration`, `decoder` and
     `link` can be looked at meanwhile;
-        `forged_marks` counts frames that were kept out of the recording (links.session_marks).
+    `forged_marks` counts frames that were kept out of the recording (links.session_marks).
     """
 
     def __init__(

@@ -156,6 +156,7 @@ def known_ids(parameters: Mapping[str, float], imu: int = 1) -> dict[Triad, int]
 def all_names(imu: int) -> list[str]:
     """Return the names of all that calibrates an IMU, and of what turns the board."""
     names = ["SENS_BOARD_ROT", *(f"SENS_BOARD_{axis}_OFF" for axis in "XYZ")]
+    names.append(f"CAL_ACC{_index(imu)}_ROT")
     for triad in _TC:
         names += [enable(triad), device_id(triad, imu), *_cal(triad, imu, "OFF")]
         names += [tc_id(triad, n) for n in IMUS[:-1]]

@@ -28,12 +28,12 @@ def parameters_of(path: Path) -> dict[str, float]:
     return parameter_change.values_of(read_param_file(path))
 
 
-def rotation_of(orientation: int | None, parameters: Mapping[str, float]) -> Floats:
-    """Return body_from_sensor [3, 3] by option, else by the autopilot's parameters."""
+def rotation_of(orientation: int | None, parameters: Mapping[str, float], imu: int) -> Floats:
+    """Return body_from_sensor [3, 3] of an IMU by option, else by the autopilot's parameters."""
     try:
         if orientation is not None:
             return body_from_sensor(orientation)
-        return board_rotation(parameters)
+        return board_rotation(parameters, imu)
     except ValueError as error:
         raise ConfigError(f"--orientation: {error}") from None
 
@@ -47,10 +47,10 @@ def exports_of(
     """Return the parameters of each IMU; `current` those of the autopilot, as far as known."""
     under = {} if args.compensated_by is None else parameters_of(args.compensated_by)
     known = {**under, **current}
-    turn = rotation_of(args.orientation, known)
     at = (args.offsets_at, None if args.works_at is None else tuple(args.works_at))
     exports = {}
     for imu, calibration in calibrations.items():
+        turn = rotation_of(args.orientation, known, imu)
         try:
             below = forms_in_force(under, imu) if under else None
             if autopilot == PX4:

@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
 def _calibration(
     args: argparse.Namespace, parameters: dict[str, float], origin: str
 ) -> Calibration:
-    turn = rotation_of(args.orientation, parameters)
+    turn = rotation_of(args.orientation, parameters, args.imu)
     try:
         if any(name.startswith("INS") for name in parameters):
             return ardupilot_params.from_ardupilot(parameters, args.imu, turn)
