@@ -193,9 +193,13 @@ def _without_rounding(form: TriadForm) -> TriadForm:
 
 
 def says_nothing(calibration: Calibration, triad: Triad, below: Mapping[Triad, TriadForm]) -> bool:
-    """Return whether there is nothing to tell an autopilot of a triad: it may know better."""
-    nothing: bool = getattr(calibration, triad) == TriadCalibration() and triad not in below
-    return nothing
+    """Return whether an autopilot's own figures of a triad should stay as they are.
+
+    So where the calibration has none, and no drift that it was made on top of must be kept.
+    """
+    under = below.get(triad)
+    is_nil = bool(getattr(calibration, triad) == TriadCalibration())
+    return is_nil and (under is None or under.span_degc is None)
 
 
 def as_calibration(

@@ -1,6 +1,7 @@
 """Against ArduPilot's own arithmetic, written down anew from its sources in 32-bit floats."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -212,7 +213,10 @@ def test_a_calibration_made_on_top_of_ardupilot_s_replaces_both():
             **{f"INS_ACCSCAL_{a}": 1.02 for a in "XYZ"},
         }
     )
-    calibration = ramp(matrix=((1.01, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+    calibration = replace(
+        ramp(matrix=((1.01, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))),
+        gyro=TriadCalibration(bias=(0.002, 0.0, -0.001)),
+    )
     values = to_ardupilot(calibration, below=below).values
     rng = np.random.default_rng(3)
     for raw, temperature in zip(rng.uniform(-20, 20, (9, 3)), rng.uniform(-20, 70, 9), strict=True):
@@ -286,6 +290,11 @@ def test_what_the_calibration_does_not_know_stays_as_it_is():
     assert export.losses.keys() == {"gyro"}
     assert "says nothing of the accel" in " ".join(export.remarks)
     assert to_ardupilot(Calibration()).values == {"INS_TCAL1_ENABLE": 0}
+    plain = forms_of_ardupilot(to_ardupilot(ramp()).values | GYRO_OFFSETS | {"INS_TCAL1_ENABLE": 0})
+    assert not [n for n in to_ardupilot(Calibration(), below=plain).values if "OFFS" in n]
+    warm = forms_of_ardupilot(to_ardupilot(ramp()).values | GYRO_OFFSETS)
+    kept = to_ardupilot(Calibration(), below=warm).values
+    assert kept == to_ardupilot(ramp()).values | GYRO_OFFSETS
 
 
 def test_offsets_of_exactly_nothing_are_remarked_on():
