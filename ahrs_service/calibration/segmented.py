@@ -1,0 +1,130 @@
+"""The paper's two thermal models: a table over temperature segments, conventional and improved.
+
+Conventional (Liu et al., eq. (1)): in each segment K and B from six positions in the chamber. It
+takes each position for what the table was told, so a unit that lies turned in its mounting, as the
+second mounting always does, gets axes turned by as much.
+
+Improved (eq. (2) and (3)): K and B from six positions on a true table at room temperature; in the
+chamber only what the output moved since room temperature counts, in like position, as a quadratic
+of the output per segment, E_T = a N^2 + b N + c. How the unit lies does not enter.
+
+Segments jump at their borders, as the paper's do, or meet there (`continuous`).
+"""
+
+import numpy as np
+
+from ahrs_service.calibration.errors import CalibrationError
+from ahrs_service.calibration.temperature_basis import Basis, segments
+from ahrs_service.calibration.thermal_rows import ThermalRows
+from ahrs_service.records import Floats
+from ahrs_service.sensor.curve import Curve
+from ahrs_service.sensor.parameters import TriadCalibration
+
+SEGMENT_DEGC = 5.0
+_LARGEST_CONDITION = 1e6
+
+
+def six_positions(output: Floats, nominal: Floats) -> tuple[Floats, Floats]:
+    """Return K [3, 3] and B [3] of N = K A + B from outputs and inputs [N, 3] (eq. (1)).
+
+    CalibrationError where the positions do not tell all twelve numbers.
+    """
+    design = np.hstack([nominal, np.ones((len(nominal), 1))])
+    if np.linalg.cond(design / np.abs(design).max(axis=0)) > _LARGEST_CONDITION:
+        raise CalibrationError(
+            "the positions do not tell scale, axes and bias apart: give each axis its input both "
+            "ways, six positions in all"
+        )
+    solution, *_ = np.linalg.lstsq(design, output, rcond=None)
+    return solution[:3].T, solution[3]
+
+
+def segment_basis(rows: ThermalRows, continuous: bool, width_degc: float = SEGMENT_DEGC) -> Basis:
+    """Return lines (continuous) or steps over the rows' temperatures, segments of about `width`."""
+    low, high = rows.span_degc
+    return Basis(low, high, int(continuous), segments(low, high, width_degc))
+
+
+def fit_conventional(
+    rows: ThermalRows, nominal: Floats, room_degc: float, continuous: bool = True
+) -> TriadCalibration:
+    """Fit K(T) and B(T) (Liu et al., eq. (1)); `nominal` [N, 3] what the table was told."""
+    basis = segment_basis(rows, continuous)
+    functions = basis.values(rows.temperature_degc)
+    inputs = np.hstack([nominal, np.ones((len(rows), 1))])
+    design = (functions[:, :, None] * inputs[:, None, :]).reshape(len(rows), -1)
+    weights = _solve(design, rows.output, "six positions in each temperature segment")
+    table = np.moveaxis(weights.reshape(basis.size, 4, 3), 1, 2)
+    room = np.einsum("k,kij->ij", basis.values(np.array([room_degc]))[0], table)
+    drift = (table - room).reshape(basis.size, 12)
+    matrix = [4 * i + j for i in range(3) for j in range(3)]
+    return TriadCalibration(
+        matrix=_matrix(room[:, :3]),
+        bias=_vector(room[:, 3]),
+        c=_curve(basis, drift[:, 3::4]),
+        matrix_drift=_curve(basis, drift[:, matrix]),
+        model="conventional",
+    )
+
+
+def fit_improved(
+    rows: ThermalRows, matrix: Floats, bias: Floats, room_degc: float, continuous: bool = True
+) -> TriadCalibration:
+    """Fit E_T (Liu et al., eq. (3)); `matrix` K and `bias` B are those of room temperature."""
+    basis = segment_basis(rows, continuous)
+    moved = rows.output - _room_outputs(rows, room_degc)[rows.level]
+    functions = basis.zeroed(rows.temperature_degc, room_degc)
+    parts = []
+    for axis in range(3):
+        powers = rows.output[:, [axis]] ** np.arange(3)
+        design = (functions[:, :, None] * powers[:, None, :]).reshape(len(rows), -1)
+        weights = _solve(design, moved[:, axis], "positions or rates along each axis, both ways")
+        parts.append(weights.reshape(-1, 3))
+    table = np.stack(parts, axis=2)
+    c, b, a = (
+        _curve(basis, basis.coefficients_of_zeroed(table[:, power], room_degc))
+        for power in range(3)
+    )
+    return TriadCalibration(
+        matrix=_matrix(matrix), bias=_vector(bias), a=a, b=b, c=c, model="improved"
+    )
+
+
+def _room_outputs(rows: ThermalRows, room_degc: float) -> Floats:
+    """Return the mean output [P, 3] of each level within half a segment of room temperature."""
+    near = np.abs(rows.temperature_degc - room_degc) < 0.5 * SEGMENT_DEGC
+    means = np.empty((rows.levels, 3))
+    for level in range(rows.levels):
+        own = near & (rows.level == level)
+        if not own.any():
+            raise CalibrationError(
+                f"position {level} was not held within {0.5 * SEGMENT_DEGC:g} degC of "
+                f"{room_degc:g} degC: let the chamber run through room temperature in each"
+            )
+        means[level] = rows.output[own].mean(axis=0)
+    return means
+
+
+def _solve(design: Floats, output: Floats, needed: str) -> Floats:
+    length = np.linalg.norm(design, axis=0)
+    if not (length > 0.0).all():
+        raise CalibrationError(f"a temperature segment is empty: the run needs {needed}")
+    weights, _, rank, _ = np.linalg.lstsq(design / length, output, rcond=1e-9)
+    if rank < design.shape[1]:
+        raise CalibrationError(f"the run does not tell the coefficients apart: it needs {needed}")
+    return np.asarray((weights.T / length).T, np.float64)
+
+
+def _curve(basis: Basis, coefficients: Floats) -> Curve:
+    pieces = basis.polynomials(coefficients)
+    return Curve.from_ppoly(pieces.x, pieces.c)
+
+
+def _matrix(values: Floats) -> tuple[tuple[float, float, float], ...]:
+    first, second, third = (_vector(row) for row in values)
+    return first, second, third
+
+
+def _vector(values: Floats) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z

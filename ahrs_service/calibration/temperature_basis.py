@@ -1,0 +1,82 @@
+"""Curves of temperature as B-splines: the steps and lines of the paper, cubics, and smooth splines.
+
+A basis of degree 0 is the paper's table (one value per segment, jumping at its borders), of degree
+1 the same table drawn continuous, of degree 3 with one piece the cubic that both autopilots fit.
+Outside its span a basis holds the value of the nearest end, as compensation does.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.interpolate import BSpline, PPoly
+
+from ahrs_service.records import Floats
+
+LADDER: Final = (
+    (0, 1),
+    (1, 1),
+    (2, 1),
+    (3, 1),
+    *((3, pieces) for pieces in (2, 3, 4, 5, 6, 8, 10, 12, 16, 20)),
+)
+"""Degrees and pieces of the smooth curves, from the stiffest to the most flexible."""
+
+
+@dataclass(frozen=True, slots=True)
+class Basis:
+    """B-splines of `degree` on `pieces` equal intervals from `low_degc` to `high_degc` [degC].
+
+    They sum to 1 everywhere (de Boor, A Practical Guide to Splines, ch. IX).
+    """
+
+    low_degc: float
+    high_degc: float
+    degree: int
+    pieces: int
+
+    @property
+    def size(self) -> int:
+        """Number of functions."""
+        return self.degree + self.pieces
+
+    @property
+    def knots(self) -> Floats:
+        """Knots with the ends repeated [size + degree + 1] [degC]."""
+        breaks = np.linspace(self.low_degc, self.high_degc, self.pieces + 1)
+        return np.pad(breaks, self.degree, mode="edge")
+
+    def values(self, temperature_degc: Floats) -> Floats:
+        """Return the functions [N, size] at temperatures [N] [degC]."""
+        inside = np.clip(np.atleast_1d(temperature_degc), self.low_degc, self.high_degc)
+        matrix = BSpline.design_matrix(inside, self.knots, self.degree)
+        return np.asarray(matrix.toarray(), np.float64)
+
+    def zeroed(self, temperature_degc: Floats, zero_degc: float) -> Floats:
+        """Return a basis [N, size - 1] of those curves that are 0 at `zero_degc`."""
+        at_zero = self.values(np.array([zero_degc]))[0]
+        shifted = self.values(temperature_degc) - at_zero
+        return np.delete(shifted, int(np.argmax(at_zero)), axis=1)
+
+    def coefficients_of_zeroed(self, weights: Floats, zero_degc: float) -> Floats:
+        """Return the B-spline coefficients [size, M] of `weights` [size - 1, M] on `zeroed`."""
+        at_zero = self.values(np.array([zero_degc]))[0]
+        dropped = int(np.argmax(at_zero))
+        level = np.delete(at_zero, dropped) @ weights
+        return np.insert(weights, dropped, 0.0, axis=0) - level
+
+    def polynomials(self, coefficients: Floats) -> PPoly:
+        """Return the curves of B-spline `coefficients` [size, M] as piecewise polynomials in T."""
+        breaks = np.linspace(self.low_degc, self.high_degc, self.pieces + 1)
+        spline = BSpline(self.knots, coefficients, self.degree)
+        powers = [
+            spline(breaks[:-1], nu=power) / math.factorial(power)
+            for power in range(self.degree, -1, -1)
+        ]
+        return PPoly(np.stack(powers), breaks)
+
+
+def segments(low_degc: float = -40.0, high_degc: float = 70.0, width_degc: float = 5.0) -> int:
+    """Return the number of segments of `width_degc` in a span, at least one (Liu et al., S3)."""
+    return max(1, round((high_degc - low_degc) / width_degc))
