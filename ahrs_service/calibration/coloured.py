@@ -77,9 +77,7 @@ def hysteresis(
         differences.append(parts[0].mean(axis=0) - parts[1].mean(axis=0))
         sigmas.append(np.sqrt(sum(_variance_of_mean(part) for part in parts)))
     shape = (-1, residual.shape[1])
-    return Hysteresis(
-        np.array(middles), np.reshape(differences, shape), np.reshape(sigmas, shape)
-    )
+    return Hysteresis(np.array(middles), np.reshape(differences, shape), np.reshape(sigmas, shape))
 
 
 def _variance_of_mean(rows: Floats) -> Floats:

@@ -13,12 +13,20 @@ from ahrs_service.calibration.segmented import fit_conventional, fit_improved, s
 from ahrs_service.calibration.smooth_thermal import SmoothFit, fit_smooth, smooth_calibration
 from ahrs_service.calibration.thermal_rows import ThermalRows
 from ahrs_service.records import Floats
+from ahrs_service.sensor.compensation import compensate_columns
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration, coefficients
 from ahrs_service.sensor.thermometer import acting_columns
 from ahrs_service.simulation.chamber import SAMPLE_HZ, Holds, draw
 from ahrs_service.simulation.thermal_parts import ROOM_DEGC
 
-METHODS: Final = ("none", "conventional, jumping", "conventional", "improved, jumping", "improved", "smooth")
+METHODS: Final = (
+    "none",
+    "conventional, jumping",
+    "conventional",
+    "improved, jumping",
+    "improved",
+    "smooth",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,19 +98,10 @@ def residuals(calibration: Calibration, run: Holds) -> tuple[Floats, Floats]:
 
     The temperature is followed as in service: sample by sample, from what came before.
     """
-    shown = run.thermometer_degc
-    acting = acting_columns(coefficients(calibration), shown.ravel(), SAMPLE_HZ)
+    rows, shown = coefficients(calibration), run.thermometer_degc
+    acting = acting_columns(rows, shown.ravel(), np.arange(shown.size) / SAMPLE_HZ)
     gyro_degc, accel_degc = acting.reshape(*shown.shape, 2).mean(axis=1).T
-    rate = inputs_of(calibration.gyro, run.gyro_rad_s, gyro_degc) - run.true_rate_rad_s
-    force = inputs_of(calibration.accel, run.accel_m_s2, accel_degc) - run.true_force_m_s2
-    return rate, force
-
-
-def inputs_of(triad: TriadCalibration, output: Floats, temperature_degc: Floats) -> Floats:
-    """Return A [N, 3] of outputs N [N, 3] at the acting temperatures [N] (sensor.parameters)."""
-    level = output - np.array(triad.bias)
-    for power, curve in enumerate((triad.c, triad.b, triad.a)):
-        if curve.pieces:
-            level = level - curve.at(temperature_degc) * output**power
-    inputs: Floats = np.linalg.solve(triad.matrix_at(temperature_degc), level[..., None])[..., 0]
-    return inputs
+    outputs = run.gyro_rad_s, run.accel_m_s2
+    rate, _ = compensate_columns(rows, *outputs, gyro_degc)
+    _, force = compensate_columns(rows, *outputs, accel_degc)
+    return rate - run.true_rate_rad_s, force - run.true_force_m_s2

@@ -159,9 +159,7 @@ class Problem:
                 full[:, axis, list(used)] = weights[axis, first:].reshape(len(used), -1).T
         flat = full.reshape(-1, 9)
         scale = self.bases[1].coefficients_of_zeroed(flat, self.zero_degc)
-        return Curves(
-            self.structure, self.zero_degc, *self.bases, bias, scale, levels, covariance
-        )
+        return Curves(self.structure, self.zero_degc, *self.bases, bias, scale, levels, covariance)
 
     def residual(self, curves: Curves, block: int | None = None) -> Floats:
         """Return what the curves leave of the rows [N, 3], or of those of one block.
@@ -198,7 +196,9 @@ def _solve(products: Floats, size: int, outputs: int) -> _Solved:
     seen = counts > 0.5
     share = np.where(seen, 1.0 / np.where(seen, counts, 1.0), 0.0)
     to_level = products[size + outputs :, : size + outputs]
-    centred = products[: size + outputs, : size + outputs] - to_level.T @ (share[:, None] * to_level)
+    centred = products[: size + outputs, : size + outputs] - to_level.T @ (
+        share[:, None] * to_level
+    )
     length = np.sqrt(np.maximum(np.diag(centred)[x], 1e-300))
     values, vectors = np.linalg.eigh(centred[x, x] / np.outer(length, length))
     kept = values > _RANK * max(values[-1], 1e-300) if size else np.zeros(0, np.bool_)

@@ -20,7 +20,9 @@ from ahrs_service.records import Floats, Integers
 from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.parameters import TriadCalibration
 
-BLOCKS: Final = 10
+FOLDS: Final = 10
+SESSION_BLOCKS: Final = 20
+_LEAST_ROWS: Final = 5
 LARGEST_LAG_S: Final = 180.0
 _HALF_CHI2: Final = 0.5 * 3.841
 """Drop of the log likelihood at the ends of a 95 % interval (chi-squared of one parameter)."""
@@ -68,12 +70,19 @@ class SmoothFit:
     inflation: Floats
 
 
-def time_blocks(rows: ThermalRows, count: int = BLOCKS) -> Integers:
-    """Return the number [N] of the contiguous block of time that each row belongs to."""
-    order = np.lexsort((rows.time_s, rows.session))
-    block = np.empty(len(rows), np.int64)
-    block[order] = np.arange(len(rows)) * count // len(rows)
-    return block
+def time_folds(rows: ThermalRows, folds: int = FOLDS) -> Integers:
+    """Return the number [N] of the fold that each row belongs to.
+
+    Each session is cut into SESSION_BLOCKS contiguous blocks of time, dealt out to the folds in
+    turn: neighbours in time are held out together, and no fold takes a whole end of the span.
+    """
+    fold, first = np.empty(len(rows), np.int64), 0
+    for number in np.unique(rows.session):
+        own = np.flatnonzero(rows.session == number)
+        blocks = int(np.clip(len(own) // _LEAST_ROWS, 1, SESSION_BLOCKS))
+        fold[own] = (first + np.arange(len(own)) * blocks // len(own)) % folds
+        first += blocks
+    return fold
 
 
 def level_outputs(rows: ThermalRows) -> Floats:
@@ -99,55 +108,57 @@ def scale_kinds(level_output: Floats) -> tuple[Scale, ...]:
     return (Scale.NONE, Scale.AXES, Scale.MATRIX)
 
 
-def held_out(problem: Problem, blocks: int) -> tuple[Floats, Curves]:
-    """Return the squared held-out residual [blocks, 3], summed, and the curves of all rows."""
-    sums = np.zeros((blocks, 3))
-    for block in range(blocks):
-        rest = problem.residual(problem.fit(leave_out=block), block)
-        sums[block] = np.einsum("ni,ni->i", rest, rest)
-    return sums, problem.fit()
-
-
 class _Choice:
-    """Cross-validated scores of structures for some rows, each computed once."""
+    """Held-out residuals of structures for some rows, each computed once."""
 
-    def __init__(self, rows: ThermalRows, zero_degc: float, blocks: int) -> None:
+    def __init__(self, rows: ThermalRows, zero_degc: float, folds: int) -> None:
         self._rows, self._zero = rows, zero_degc
-        self._u, self._block = level_outputs(rows), time_blocks(rows, blocks)
-        self._blocks = blocks
-        self._scores: dict[Structure, Floats] = {}
-        self._unit = np.maximum(self.sums(Structure()).sum(axis=0), 1e-300)
+        self._u, self._block = level_outputs(rows), time_folds(rows, folds)
+        self._folds = int(self._block.max()) + 1
+        self._rests: dict[Structure, Floats] = {}
 
-    def problem(self, structure: Structure) -> Problem:
-        return Problem(self._rows, structure, self._zero, self._u, self._block)
+    def rest(self, structure: Structure) -> Floats:
+        """Return the held-out residual [N, 3]."""
+        if structure not in self._rests:
+            problem = Problem(self._rows, structure, self._zero, self._u, self._block)
+            rest = np.empty((len(self._rows), 3))
+            for block in range(self._folds):
+                own = self._block == block
+                rest[own] = problem.residual(problem.fit(leave_out=block), block)
+            self._rests[structure] = rest
+        return self._rests[structure]
 
-    def sums(self, structure: Structure) -> Floats:
-        if structure not in self._scores:
-            self._scores[structure], _ = held_out(self.problem(structure), self._blocks)
-        return self._scores[structure]
+    def rms(self, structure: Structure) -> Floats:
+        """Return the RMS held-out residual per axis [3]."""
+        rms: Floats = np.sqrt(np.mean(self.rest(structure) ** 2, axis=0))
+        return rms
 
     def best(self, candidates: list[Structure]) -> Structure:
-        """Return the smallest structure that is no worse than the best by one standard error.
+        """Return the smallest structure that held-out rows do not tell from the best.
 
-        The error is that of the difference from the best over the blocks (Breiman et al.,
-        Classification and Regression Trees, sec. 3.4.3), the axes weighted alike.
+        The scores are mean squares relative to the best one's, averaged over the axes. Of n
+        independent Gauss values a mean square is known to sqrt(2 / n) of itself; colour leaves
+        n / inflation of n rows.
         """
-        scores = [(self.sums(one) / self._unit).sum(axis=1) for one in candidates]
-        winner = int(np.argmin([score.sum() for score in scores]))
-        for one, score in sorted(
-            zip(candidates, scores, strict=True), key=lambda pair: pair[0].size
-        ):
-            behind = score - scores[winner]
-            if behind.sum() <= math.sqrt(self._blocks) * behind.std(ddof=1):
-                return one
-        return candidates[winner]
+        squares = [self.rms(one) ** 2 for one in candidates]
+        winner = int(np.argmin([np.log(np.maximum(x, 1e-300)).sum() for x in squares]))
+        least = np.maximum(squares[winner], 1e-300)
+        rest = self.rest(candidates[winner])
+        count = sum(len(rest) / inflation(rest[:, i]) for i in range(3))
+        bound = 1.0 + math.sqrt(2.0 / count)
+        near = [
+            one
+            for one, x in zip(candidates, squares, strict=True)
+            if float(np.mean(x / least)) <= bound
+        ]
+        return min(near, key=lambda one: one.size)
 
 
 def choose_structure(
-    rows: ThermalRows, zero_degc: float, blocks: int = BLOCKS, passes: int = 2
+    rows: ThermalRows, zero_degc: float, folds: int = FOLDS, passes: int = 2
 ) -> tuple[Structure, HeldOut]:
     """Return the structure that held-out blocks of time speak for, and what they show."""
-    choice = _Choice(rows, zero_degc, blocks)
+    choice = _Choice(rows, zero_degc, folds)
     kinds = scale_kinds(level_outputs(rows))
     now = Structure()
     for _ in range(passes):
@@ -155,9 +166,7 @@ def choose_structure(
         scales = [(order, kind) for kind in kinds if kind for order in LADDER[1:]]
         options = [Structure(now.bias, order, kind) for order, kind in scales]
         now = choice.best([Structure(now.bias), *options])
-    count = len(rows)
-    before, after = (np.sqrt(choice.sums(s).sum(axis=0) / count) for s in (Structure(), now))
-    return now, HeldOut(before, after)
+    return now, HeldOut(choice.rms(Structure()), choice.rms(now))
 
 
 def estimate_lag(rows: ThermalRows, structure: Structure, zero_degc: float) -> Lag:
@@ -208,15 +217,15 @@ def estimate_lag(rows: ThermalRows, structure: Structure, zero_degc: float) -> L
 
 
 def fit_smooth(
-    rows: ThermalRows, zero_degc: float, blocks: int = BLOCKS, with_lag: bool = True
+    rows: ThermalRows, zero_degc: float, folds: int = FOLDS, with_lag: bool = True
 ) -> SmoothFit:
     """Fit curves and lag to `rows`; all drift is zero at `zero_degc`, which must be inside."""
-    structure, _ = choose_structure(rows, zero_degc, blocks)
+    structure, _ = choose_structure(rows, zero_degc, folds)
     lag = Lag(0.0, -LARGEST_LAG_S, LARGEST_LAG_S, is_told=False)
     if with_lag:
         lag = estimate_lag(rows, structure, zero_degc)
     acting = rows.at_element(lag.lag_s)
-    structure, validated = choose_structure(acting, zero_degc, blocks)
+    structure, validated = choose_structure(acting, zero_degc, folds)
     problem = Problem(
         acting, structure, zero_degc, level_outputs(acting), np.zeros(len(rows), np.int64)
     )
