@@ -9,10 +9,12 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.calibration.segmented import fit_conventional, fit_improved, six_positions
+from ahrs_service.calibration.segmented import fit_conventional, fit_improved
 from ahrs_service.calibration.smooth_thermal import SmoothFit, fit_smooth, smooth_calibration
+from ahrs_service.calibration.thermal_records import matrix_rows
 from ahrs_service.calibration.thermal_rows import ThermalRows
-from ahrs_service.records import Floats
+from ahrs_service.calibration.triad import fit_triad, vector
+from ahrs_service.records import Floats, Integers
 from ahrs_service.sensor.compensation import compensate_columns
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration, coefficients
 from ahrs_service.sensor.thermometer import acting_columns
@@ -53,7 +55,7 @@ def accel_rows(runs: list[Holds]) -> tuple[ThermalRows, Floats]:
 
 
 def _rows(
-    runs: list[Holds], output: str, nominal: str, levels: list[Floats], still_only: bool
+    runs: list[Holds], output: str, nominal: str, levels: list[Integers], still_only: bool
 ) -> tuple[ThermalRows, Floats]:
     keep = [run.is_still if still_only else np.ones(len(run.time_s), np.bool_) for run in runs]
     pairs = list(zip(runs, keep, strict=True))
@@ -83,9 +85,10 @@ def calibrate_bench(seed: int) -> Bench:
 def _by_method(
     rows: ThermalRows, nominal: Floats, room_output: Floats, room_input: Floats
 ) -> tuple[dict[str, TriadCalibration], SmoothFit]:
-    matrix, bias = six_positions(room_output, room_input)
+    room = fit_triad(np.hstack([room_input, np.ones((len(room_input), 1))]), room_output)
+    matrix, bias = room.matrix, room.bias
     fit = fit_smooth(rows, ROOM_DEGC)
-    triads = {"none": TriadCalibration(matrix=matrix, bias=bias)}
+    triads = {"none": TriadCalibration(matrix=matrix_rows(matrix), bias=vector(bias))}
     for name, continuous in ((", jumping", False), ("", True)):
         triads["conventional" + name] = fit_conventional(rows, nominal, ROOM_DEGC, continuous)
         triads["improved" + name] = fit_improved(rows, matrix, bias, ROOM_DEGC, continuous)

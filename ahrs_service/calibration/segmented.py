@@ -11,32 +11,19 @@ of the output per segment, E_T = a N^2 + b N + c. How the unit lies does not ent
 Segments jump at their borders, as the paper's do, or meet there (`continuous`).
 """
 
+from typing import Final
+
 import numpy as np
 
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.temperature_basis import Basis, segments
+from ahrs_service.calibration.thermal_records import curve_of, matrix_rows
 from ahrs_service.calibration.thermal_rows import ThermalRows
+from ahrs_service.calibration.triad import vector
 from ahrs_service.records import Floats
-from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.parameters import TriadCalibration
 
-SEGMENT_DEGC = 5.0
-_LARGEST_CONDITION = 1e6
-
-
-def six_positions(output: Floats, nominal: Floats) -> tuple[Floats, Floats]:
-    """Return K [3, 3] and B [3] of N = K A + B from outputs and inputs [N, 3] (eq. (1)).
-
-    CalibrationError where the positions do not tell all twelve numbers.
-    """
-    design = np.hstack([nominal, np.ones((len(nominal), 1))])
-    if np.linalg.cond(design / np.abs(design).max(axis=0)) > _LARGEST_CONDITION:
-        raise CalibrationError(
-            "the positions do not tell scale, axes and bias apart: give each axis its input both "
-            "ways, six positions in all"
-        )
-    solution, *_ = np.linalg.lstsq(design, output, rcond=None)
-    return solution[:3].T, solution[3]
+SEGMENT_DEGC: Final = 5.0
 
 
 def segment_basis(rows: ThermalRows, continuous: bool, width_degc: float = SEGMENT_DEGC) -> Basis:
@@ -59,10 +46,10 @@ def fit_conventional(
     drift = (table - room).reshape(basis.size, 12)
     matrix = [4 * i + j for i in range(3) for j in range(3)]
     return TriadCalibration(
-        matrix=_matrix(room[:, :3]),
-        bias=_vector(room[:, 3]),
-        c=_curve(basis, drift[:, 3::4]),
-        matrix_drift=_curve(basis, drift[:, matrix]),
+        matrix=matrix_rows(room[:, :3]),
+        bias=vector(room[:, 3]),
+        c=curve_of(basis, drift[:, 3::4]),
+        matrix_drift=curve_of(basis, drift[:, matrix]),
         model="conventional",
     )
 
@@ -82,11 +69,11 @@ def fit_improved(
         parts.append(weights.reshape(-1, 3))
     table = np.stack(parts, axis=2)
     c, b, a = (
-        _curve(basis, basis.coefficients_of_zeroed(table[:, power], room_degc))
+        curve_of(basis, basis.coefficients_of_zeroed(table[:, power], room_degc))
         for power in range(3)
     )
     return TriadCalibration(
-        matrix=_matrix(matrix), bias=_vector(bias), a=a, b=b, c=c, model="improved"
+        matrix=matrix_rows(matrix), bias=vector(bias), a=a, b=b, c=c, model="improved"
     )
 
 
@@ -113,18 +100,3 @@ def _solve(design: Floats, output: Floats, needed: str) -> Floats:
     if rank < design.shape[1]:
         raise CalibrationError(f"the run does not tell the coefficients apart: it needs {needed}")
     return np.asarray((weights.T / length).T, np.float64)
-
-
-def _curve(basis: Basis, coefficients: Floats) -> Curve:
-    pieces = basis.polynomials(coefficients)
-    return Curve.from_ppoly(pieces.x, pieces.c)
-
-
-def _matrix(values: Floats) -> tuple[tuple[float, float, float], ...]:
-    first, second, third = (_vector(row) for row in values)
-    return first, second, third
-
-
-def _vector(values: Floats) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return x, y, z

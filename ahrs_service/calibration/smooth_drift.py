@@ -159,7 +159,8 @@ class Problem:
                 full[:, axis, list(used)] = weights[axis, first:].reshape(len(used), -1).T
         flat = full.reshape(-1, 9)
         scale = self.bases[1].coefficients_of_zeroed(flat, self.zero_degc)
-        return Curves(self.structure, self.zero_degc, *self.bases, bias, scale, levels, covariance)
+        own, other = self.bases
+        return Curves(self.structure, self.zero_degc, own, other, bias, scale, levels, covariance)
 
     def residual(self, curves: Curves, block: int | None = None) -> Floats:
         """Return what the curves leave of the rows [N, 3], or of those of one block.

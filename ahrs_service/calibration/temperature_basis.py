@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.interpolate import BSpline, PPoly
+from scipy.interpolate import BSpline
 
 from ahrs_service.records import Floats
 
@@ -42,10 +42,14 @@ class Basis:
         return self.degree + self.pieces
 
     @property
+    def breaks(self) -> Floats:
+        """Ends of the pieces [pieces + 1] [degC]."""
+        return np.linspace(self.low_degc, self.high_degc, self.pieces + 1)
+
+    @property
     def knots(self) -> Floats:
         """Knots with the ends repeated [size + degree + 1] [degC]."""
-        breaks = np.linspace(self.low_degc, self.high_degc, self.pieces + 1)
-        return np.pad(breaks, self.degree, mode="edge")
+        return np.pad(self.breaks, self.degree, mode="edge")
 
     def values(self, temperature_degc: Floats) -> Floats:
         """Return the functions [N, size] at temperatures [N] [degC]."""
@@ -66,15 +70,17 @@ class Basis:
         level = np.delete(at_zero, dropped) @ weights
         return np.insert(weights, dropped, 0.0, axis=0) - level
 
-    def polynomials(self, coefficients: Floats) -> PPoly:
-        """Return the curves of B-spline `coefficients` [size, M] as piecewise polynomials in T."""
-        breaks = np.linspace(self.low_degc, self.high_degc, self.pieces + 1)
+    def polynomials(self, coefficients: Floats) -> Floats:
+        """Return polynomials [degree + 1, pieces, M] of the curves of `coefficients` [size, M].
+
+        In T - breaks, the highest power first: the form of scipy's PPoly.
+        """
         spline = BSpline(self.knots, coefficients, self.degree)
         powers = [
-            spline(breaks[:-1], nu=power) / math.factorial(power)
+            spline(self.breaks[:-1], nu=power) / math.factorial(power)
             for power in range(self.degree, -1, -1)
         ]
-        return PPoly(np.stack(powers), breaks)
+        return np.stack(powers)
 
 
 def segments(low_degc: float = -40.0, high_degc: float = 70.0, width_degc: float = 5.0) -> int:

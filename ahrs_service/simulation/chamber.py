@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
@@ -21,15 +22,19 @@ from ahrs_service.sensor.noise import TriadNoise, first_order, sensor_noise
 from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.simulation.thermal_parts import ROOM_DEGC, draw_unit
 
+Booleans = npt.NDArray[np.bool_]
+
 SAMPLE_HZ: Final = 10.0
 HOLD_S: Final = 10.0
 BOX_S: Final = 300.0
-"""The unit is near steady after 300 s (Liu et al., fig. 7); taken for the elements' time constant."""
+"""Time constant of the elements: the unit is near steady after 300 s (Liu et al., fig. 7)."""
 RATE_RAD_S: Final = math.radians(100.0)
 LARGEST_LAG_S: Final = 30.0
 """A ceramic package of half a gram (0.4 J/K) on a board (75 K/W) follows it in some 30 s."""
 MOUNTING_RAD: Final = math.radians(1.5)
 
+_GYRO_NOISE: Final = TriadNoise(density=math.radians(0.02), wander=math.radians(0.005))
+_ACCEL_NOISE: Final = TriadNoise(density=2e-3, wander=1e-3)
 _DOWN: Final = np.array([0.0, 0.0, STANDARD_GRAVITY_M_S2])
 
 
@@ -38,8 +43,8 @@ class Holds:
     """Means over holds [N] of HOLD_S: what the unit gave, what it was meant to feel, and felt.
 
     `thermometer_degc` [N, M] is what the thermometer showed at each sample, `temperature_degc` [N]
-    the mean of it; `hold` [N] numbers what the table was told, alike for like commands; `is_still` [N] where the
-    table stood. The `true_` columns are for judging alone.
+    the mean of it; `hold` [N] numbers what the table was told, alike for like commands; `is_still`
+    [N] where the table stood. The `true_` columns are for judging alone.
     """
 
     time_s: Floats
@@ -49,7 +54,7 @@ class Holds:
     accel_m_s2: Floats
     mounting: Integers
     hold: Integers
-    is_still: Floats
+    is_still: Booleans
     nominal_rate_rad_s: Floats
     nominal_force_m_s2: Floats
     true_rate_rad_s: Floats
@@ -67,8 +72,8 @@ class Unit:
 
     truth: Calibration
     lag_s: float
-    gyro_noise: TriadNoise = TriadNoise(density=math.radians(0.02), wander=math.radians(0.005))
-    accel_noise: TriadNoise = TriadNoise(density=2e-3, wander=1e-3)
+    gyro_noise: TriadNoise = _GYRO_NOISE
+    accel_noise: TriadNoise = _ACCEL_NOISE
     gyro_step_rad_s: float = math.radians(1.0 / 65.5)
     accel_step_m_s2: float = STANDARD_GRAVITY_M_S2 / 8192.0
     gyro_repeat_rad_s: float = math.radians(0.01)
@@ -138,7 +143,7 @@ class Bench:
         return replace(holds, nominal_rate_rad_s=rate, nominal_force_m_s2=force)
 
     def _measure(
-        self, unit: Unit, air: Floats, rate: Floats, force: Floats, hold: Integers, still: Floats
+        self, unit: Unit, air: Floats, rate: Floats, force: Floats, hold: Integers, still: Booleans
     ) -> Holds:
         """Sample a run at SAMPLE_HZ and return the means of its holds."""
         rng, size = self.rng, round(HOLD_S * SAMPLE_HZ)
@@ -154,7 +159,7 @@ class Bench:
         gyro += rng.normal(0.0, unit.gyro_repeat_rad_s, 3)
         accel += rng.normal(0.0, unit.accel_repeat_m_s2, 3)
         return Holds(
-            time_s=(np.arange(len(rate)) + 0.5) * HOLD_S,
+            time_s=np.arange(0.5, len(rate)) * HOLD_S,
             thermometer_degc=thermometer.reshape(-1, size),
             temperature_degc=_means(thermometer, size),
             gyro_rad_s=_means(_stepped(gyro, unit.gyro_step_rad_s), size),
@@ -195,7 +200,7 @@ def _followed(temperature: Floats, time_constant_s: float) -> Floats:
     return first_order(drive, keep)[:, 0]
 
 
-def _cycle(axis: int, count: int) -> tuple[Floats, Floats, Integers, Floats]:
+def _cycle(axis: int, count: int) -> tuple[Floats, Floats, Integers, Booleans]:
     """Rates, forces, hold numbers and stillness [count] of a table whose axis is a body axis."""
     hold = np.arange(count) % 6
     still = hold < 4
