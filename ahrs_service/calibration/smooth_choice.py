@@ -1,32 +1,23 @@
 """How flexible the smooth thermal model may be: as flexible as held-out blocks of time bear.
 
-The curves of bias and of scale are chosen in turn, each while the other is held.
+Each axis has its own parts and so its own curves; those of bias and of scale are chosen in turn,
+each while the other is held.
 """
 
-import math
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from ahrs_service.calibration.coloured import inflation
-from ahrs_service.calibration.smooth_drift import Problem, Scale, Structure
+from ahrs_service.calibration.smooth_drift import AxisProblem, Scale, Structure
 from ahrs_service.calibration.temperature_basis import LADDER
 from ahrs_service.calibration.thermal_rows import ThermalRows
 from ahrs_service.records import Floats, Integers
 
 FOLDS: Final = 10
 SESSION_BLOCKS: Final = 20
+ROWS_EACH: Final = 10
 _LEAST_ROWS: Final = 2
 _PASSES: Final = 2
-
-
-@dataclass(frozen=True, slots=True)
-class HeldOut:
-    """RMS of held-out rows per axis [3]: `before`, levels alone; `after`, with the curves."""
-
-    before: Floats
-    after: Floats
 
 
 def time_folds(rows: ThermalRows, folds: int = FOLDS) -> Integers:
@@ -51,78 +42,58 @@ def level_outputs(rows: ThermalRows) -> Floats:
     return np.stack(sums, axis=1) / marks[:, None]
 
 
-def scale_kinds(level_output: Floats) -> tuple[Scale, ...]:
-    """Return what of the scale these levels [P, 3] can tell.
+def scale_kinds(level_output: Floats, axis: int) -> tuple[Scale, ...]:
+    """Return what of an axis's scale these levels [P, 3] can tell.
 
-    An axis tells its scale when its inputs differ by half of the largest input; the matrix needs
-    levels that differ in all three directions by as much.
+    Its own input's where that differs by half of the largest input; that of all inputs where the
+    levels differ in all three directions by as much.
     """
     largest = np.abs(level_output).max()
-    spread = np.ptp(level_output, axis=0)
-    if len(level_output) < 2 or not (spread > 0.5 * largest).all():
+    if len(level_output) < 2 or np.ptp(level_output[:, axis]) <= 0.5 * largest:
         return (Scale.NONE,)
     singular = np.linalg.svd(level_output - level_output.mean(axis=0), compute_uv=False)
     if len(level_output) < 4 or singular[-1] < 0.5 * largest:
-        return (Scale.NONE, Scale.AXES)
-    return (Scale.NONE, Scale.AXES, Scale.MATRIX)
+        return (Scale.NONE, Scale.OWN)
+    return (Scale.NONE, Scale.OWN, Scale.ALL)
 
 
-class _Choice:
-    """Held-out residuals of structures for some rows, each computed once."""
+class Choice:
+    """Held-out residuals of structures for one axis of some rows, each computed once."""
 
-    def __init__(self, rows: ThermalRows, zero_degc: float, folds: int) -> None:
-        self._rows, self._zero = rows, zero_degc
-        self._u, self._block = level_outputs(rows), time_folds(rows, folds)
-        self._folds = int(self._block.max()) + 1
+    def __init__(self, rows: ThermalRows, axis: int, zero_degc: float, folds: int = FOLDS) -> None:
+        self._rows, self._axis, self._zero = rows, axis, zero_degc
+        self._u, self._fold = level_outputs(rows), time_folds(rows, folds)
         self._rests: dict[Structure, Floats] = {}
 
     def rest(self, structure: Structure) -> Floats:
-        """Return the held-out residual [N, 3]."""
+        """Return the held-out residual [N]."""
         if structure not in self._rests:
-            problem = Problem(self._rows, structure, self._zero, self._u, self._block)
-            rest = np.empty((len(self._rows), 3))
-            for block in range(self._folds):
-                own = self._block == block
-                rest[own] = problem.residual(problem.fit(leave_out=block), block)
-            self._rests[structure] = rest
+            problem = AxisProblem(
+                self._rows, self._axis, structure, self._zero, self._u, self._fold
+            )
+            self._rests[structure] = problem.held_out()
         return self._rests[structure]
 
-    def rms(self, structure: Structure) -> Floats:
-        """Return the RMS held-out residual per axis [3]."""
-        rms: Floats = np.sqrt(np.mean(self.rest(structure) ** 2, axis=0))
-        return rms
+    def rms(self, structure: Structure) -> float:
+        """Return the RMS held-out residual."""
+        return float(np.sqrt(np.mean(self.rest(structure) ** 2)))
 
     def best(self, candidates: list[Structure]) -> Structure:
-        """Return the smallest structure that held-out rows do not tell from the best.
+        """Return the structure of the least held-out residual among those the rows can bear.
 
-        The scores are mean squares relative to the best one's, averaged over the axes. Of n
-        independent Gauss values a mean square is known to sqrt(2 / n) of itself; colour leaves
-        n / inflation of n rows.
+        Those are the structures with ROWS_EACH rows or more for each coefficient. The least
+        held-out residual foretells best (Li, Annals of Statistics 15, 1987).
         """
-        squares = [self.rms(one) ** 2 for one in candidates]
-        winner = int(np.argmin([np.log(np.maximum(x, 1e-300)).sum() for x in squares]))
-        least = np.maximum(squares[winner], 1e-300)
-        rest = self.rest(candidates[winner])
-        count = sum(len(rest) / inflation(rest[:, i]) for i in range(3))
-        bound = 1.0 + math.sqrt(2.0 / count)
-        near = [
-            one
-            for one, x in zip(candidates, squares, strict=True)
-            if float(np.mean(x / least)) <= bound
-        ]
-        return min(near, key=lambda one: one.size)
+        bearable = [one for one in candidates if one.size * ROWS_EACH <= len(self._rows)]
+        return min(bearable, key=lambda one: (self.rms(one), one.size))
 
-
-def choose_structure(
-    rows: ThermalRows, zero_degc: float, folds: int = FOLDS
-) -> tuple[Structure, HeldOut]:
-    """Return the structure that held-out blocks of time speak for, and what they show."""
-    choice = _Choice(rows, zero_degc, folds)
-    kinds = scale_kinds(level_outputs(rows))
-    now = Structure()
-    for _ in range(_PASSES):
-        now = choice.best([Structure(bias, now.scale, now.kind) for bias in LADDER])
-        scales = [(order, kind) for kind in kinds if kind for order in LADDER[1:]]
-        options = [Structure(now.bias, order, kind) for order, kind in scales]
-        now = choice.best([Structure(now.bias), *options])
-    return now, HeldOut(choice.rms(Structure()), choice.rms(now))
+    def structure(self, start: Structure) -> Structure:
+        """Return the structure that the held-out blocks of time speak for."""
+        kinds = scale_kinds(self._u, self._axis)
+        now = start
+        for _ in range(_PASSES if len(kinds) > 1 else 1):
+            now = self.best([Structure(bias, now.scale, now.kind) for bias in LADDER])
+            scales = [(order, kind) for kind in kinds if kind for order in LADDER[1:]]
+            options = [Structure(now.bias, order, kind) for order, kind in scales]
+            now = self.best([Structure(now.bias), *options])
+        return now

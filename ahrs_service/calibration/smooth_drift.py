@@ -15,6 +15,7 @@ from enum import IntEnum
 from typing import Final
 
 import numpy as np
+import scipy.linalg
 
 from ahrs_service.calibration.temperature_basis import Basis
 from ahrs_service.calibration.thermal_rows import ThermalRows
@@ -24,56 +25,56 @@ _RANK: Final = 1e-10
 """Directions of the normal equations below this share of the largest are taken as not seen."""
 _ORDERS: Final = ("constant", "linear", "quadratic", "cubic")
 
+Order = tuple[int, int]
+"""Degree and pieces of a curve."""
+
 
 class Scale(IntEnum):
-    """What of the scale follows temperature: nothing, each axis by itself, the whole matrix."""
+    """What of an axis's scale follows temperature: nothing, its own input's, that of all inputs."""
 
     NONE = 0
-    AXES = 1
-    MATRIX = 2
+    OWN = 1
+    ALL = 2
 
 
 @dataclass(frozen=True, slots=True)
 class Structure:
-    """Which curves a fit has: (degree, pieces) of bias and of scale."""
+    """Which curves the fit of one axis has."""
 
-    bias: tuple[int, int] = (0, 1)
-    scale: tuple[int, int] = (0, 1)
+    bias: Order = (0, 1)
+    scale: Order = (0, 1)
     kind: Scale = Scale.NONE
 
     @property
     def size(self) -> int:
-        """Coefficients per axis."""
+        """Number of coefficients."""
         return sum(self.bias) - 1 + (0, 1, 3)[self.kind] * (sum(self.scale) - 1)
 
-    @property
-    def groups(self) -> tuple[tuple[int, ...], ...]:
-        """Output axes that share their columns, and so one solution."""
-        return ((0,), (1,), (2,)) if self.kind is Scale.AXES else ((0, 1, 2),)
-
     def inputs(self, axis: int) -> tuple[int, ...]:
-        """Axes whose input acts on this axis by the scale's curves."""
-        return {Scale.NONE: (), Scale.AXES: (axis,), Scale.MATRIX: (0, 1, 2)}[self.kind]
+        """Inputs that act on the axis by the scale's curves."""
+        return {Scale.NONE: (), Scale.OWN: (axis,), Scale.ALL: (0, 1, 2)}[self.kind]
 
     @property
     def text(self) -> str:
         """The structure in words."""
-        scale = {Scale.NONE: "none", Scale.AXES: "of each axis ", Scale.MATRIX: "and axes "}
-        tail = "" if self.kind is Scale.NONE else _order_text(self.scale)
-        return f"bias {_order_text(self.bias)}, scale {scale[self.kind]}{tail}"
+        bias = f"bias {_order_text(self.bias)}"
+        if self.kind is Scale.NONE:
+            return bias
+        scale = "scale and axes" if self.kind is Scale.ALL else "scale"
+        return f"{bias}, {scale} {_order_text(self.scale)}"
 
 
-def _order_text(order: tuple[int, int]) -> str:
+def _order_text(order: Order) -> str:
     degree, pieces = order
     return _ORDERS[degree] if pieces == 1 else f"{_ORDERS[degree]} in {pieces} pieces"
 
 
 @dataclass(frozen=True, slots=True)
-class Curves:
-    """Fitted curves: `bias` [size, 3] and `scale` [size, 9] (row by row) B-spline coefficients.
+class AxisCurves:
+    """Fitted curves of one axis: B-spline coefficients `bias` [size] and `scale` [size, 3].
 
-    `levels` [P, 3] are the u_p, NaN where no row was seen; `covariance` [3, q, q] per axis of the
-    weights on the zeroed bases, bias first, for residuals without colour.
+    `levels` [P] are the u_p, NaN where no row was seen; `covariance` [q, q] that of the weights on
+    the zeroed bases, bias first, for a residual without colour.
     """
 
     structure: Structure
@@ -86,129 +87,134 @@ class Curves:
     covariance: Floats
 
     def drift(self, temperature_degc: Floats, level_output: Floats) -> Floats:
-        """Return c(T) + b(T) u [N, 3] for u = `level_output` [N, 3]."""
+        """Return c(T) + b(T) u [N] for u = `level_output` [N, 3]."""
         drift: Floats = self.bias_basis.values(temperature_degc) @ self.bias
         if self.structure.kind is not Scale.NONE:
-            matrix = (self.scale_basis.values(temperature_degc) @ self.scale).reshape(-1, 3, 3)
-            drift = drift + np.einsum("nij,nj->ni", matrix, level_output)
+            row = self.scale_basis.values(temperature_degc) @ self.scale
+            drift = drift + np.einsum("nj,nj->n", row, level_output)
         return drift
 
-    def bias_sigma(self, temperature_degc: Floats, inflation: Floats) -> Floats:
-        """Return the standard error of c(T) [N, 3]; `inflation` [3] of the variance per axis."""
+    def bias_sigma(self, temperature_degc: Floats) -> Floats:
+        """Return the standard error of c(T) [N] for a residual without colour."""
         functions = self.bias_basis.zeroed(temperature_degc, self.zero_degc)
-        own = self.covariance[:, : functions.shape[1], : functions.shape[1]]
-        variance = np.einsum("nq,iqr,nr->ni", functions, own, functions) * inflation
+        count = functions.shape[1]
+        variance = np.einsum("nq,qr,nr->n", functions, self.covariance[:count, :count], functions)
         return np.sqrt(np.maximum(variance, 0.0))
 
 
-class Problem:
-    """Rows of one triad laid out for one structure, so that parts of them are quickly fitted.
+class AxisProblem:
+    """The rows' output along one axis laid out for one structure, to fit parts of them quickly.
 
-    `block` [N] numbers the parts from 0, `level_output` [P, 3] are the u_p that the scale's curves
+    `fold` [N] numbers the parts from 0, `level_output` [P, 3] are the u_p that the scale's curves
     multiply; they need to be known to a per cent only, for b is small itself.
     """
 
     def __init__(
         self,
         rows: ThermalRows,
+        axis: int,
         structure: Structure,
         zero_degc: float,
         level_output: Floats,
-        block: Integers,
+        fold: Integers | None = None,
     ) -> None:
-        self.rows, self.structure, self.zero_degc = rows, structure, zero_degc
-        self.bases = tuple(Basis(*rows.span_degc, *o) for o in (structure.bias, structure.scale))
-        self._u, self._block = level_output[rows.level], block
-        count = int(block.max()) + 1
-        self._sums = []
-        for axes in structure.groups:
-            columns = self._columns(rows.temperature_degc, self._u, axes[0])
-            parts = [self._sum(columns, axes, block == n) for n in range(count)]
-            self._sums.append(np.stack(parts))
+        self.rows, self.axis, self.structure, self.zero_degc = rows, axis, structure, zero_degc
+        self._bias = Basis(*rows.span_degc, *structure.bias)
+        self._scale = Basis(*rows.span_degc, *structure.scale)
+        self._u = level_output[rows.level]
+        self._fold = np.zeros(len(rows), np.int64) if fold is None else fold
+        bias, scale = (
+            basis.zeroed(rows.temperature_degc, zero_degc) for basis in (self._bias, self._scale)
+        )
+        parts = [bias, *(scale * self._u[:, [j]] for j in structure.inputs(axis))]
+        marks = np.eye(rows.levels)[rows.level]
+        everything = np.hstack([*parts, rows.output[:, [axis]], marks])
+        self._products = np.stack(
+            [_product(everything[self._fold == n]) for n in range(int(self._fold.max()) + 1)]
+        )
 
-    def _columns(self, temperature_degc: Floats, u: Floats, axis: int) -> Floats:
-        bias, scale = (basis.zeroed(temperature_degc, self.zero_degc) for basis in self.bases)
-        return np.hstack([bias, *(scale * u[:, [j]] for j in self.structure.inputs(axis))])
+    def fit(self, leave_out: int | None = None) -> AxisCurves:
+        """Fit all rows but those of one fold."""
+        total = self._products.sum(axis=0)
+        if leave_out is not None:
+            total = total - self._products[leave_out]
+        weights, levels, covariance = _solve(total, self.structure.size)
+        count = self._bias.size - 1
+        full = np.zeros((self._scale.size - 1, 3))
+        used = self.structure.inputs(self.axis)
+        if used:
+            full[:, list(used)] = weights[count:].reshape(len(used), -1).T
+        return AxisCurves(
+            structure=self.structure,
+            zero_degc=self.zero_degc,
+            bias_basis=self._bias,
+            scale_basis=self._scale,
+            bias=self._bias.coefficients_of_zeroed(weights[:count, None], self.zero_degc)[:, 0],
+            scale=self._scale.coefficients_of_zeroed(full, self.zero_degc),
+            levels=levels,
+            covariance=covariance,
+        )
 
-    def _sum(self, columns: Floats, axes: tuple[int, ...], own: Integers) -> Floats:
-        """Return the products of all columns, outputs and level marks over some rows."""
-        marks = np.eye(self.rows.levels)[self.rows.level[own]]
-        everything = np.hstack([columns[own], self.rows.output[own][:, list(axes)], marks])
-        return np.asarray(everything.T @ everything, np.float64)
+    def residual(self, curves: AxisCurves) -> Floats:
+        """Return what the curves leave of the rows [N]."""
+        rest = self.rows.output[:, self.axis] - curves.drift(self.rows.temperature_degc, self._u)
+        return rest - curves.levels[self.rows.level]
 
-    def fit(self, leave_out: int | None = None) -> Curves:
-        """Fit all rows but those of one block."""
-        size, count = self.structure.size, self.rows.levels
-        weights, levels = np.empty((3, size)), np.empty((count, 3))
-        covariance = np.empty((3, size, size))
-        for axes, parts in zip(self.structure.groups, self._sums, strict=True):
-            total = parts.sum(axis=0) - (0.0 if leave_out is None else parts[leave_out])
-            solved = _solve(total, size, len(axes))
-            for n, axis in enumerate(axes):
-                weights[axis], levels[:, axis] = solved.weights[:, n], solved.levels[:, n]
-                covariance[axis] = solved.inverse * solved.variance[n]
-        return self._curves(weights, levels, covariance)
+    def held_out(self) -> Floats:
+        """Return what is left of each row [N] by a fit that has not seen its fold.
 
-    def _curves(self, weights: Floats, levels: Floats, covariance: Floats) -> Curves:
-        first = self.bases[0].size - 1
-        bias = self.bases[0].coefficients_of_zeroed(weights[:, :first].T, self.zero_degc)
-        full = np.zeros((self.bases[1].size - 1, 3, 3))
-        for axis in range(3):
-            used = self.structure.inputs(axis)
-            if used:
-                full[:, axis, list(used)] = weights[axis, first:].reshape(len(used), -1).T
-        flat = full.reshape(-1, 9)
-        scale = self.bases[1].coefficients_of_zeroed(flat, self.zero_degc)
-        own, other = self.bases
-        return Curves(self.structure, self.zero_degc, own, other, bias, scale, levels, covariance)
-
-    def residual(self, curves: Curves, block: int | None = None) -> Floats:
-        """Return what the curves leave of the rows [N, 3], or of those of one block.
-
-        Rows of a block are met as in use: temperatures beyond those fitted take the nearest one. A
-        level that was not fitted says nothing about its own height: its mean is taken off.
+        The rows are met as in use: temperatures beyond those fitted take the nearest one. A level
+        that was not fitted says nothing about its own height: its mean is taken off.
         """
-        own = slice(None) if block is None else np.flatnonzero(self._block == block)
-        temperature, level = self.rows.temperature_degc[own], self.rows.level[own]
-        if block is not None:
-            seen = self.rows.temperature_degc[self._block != block]
-            temperature = np.clip(temperature, seen.min(), seen.max())
-        rest = self.rows.output[own] - curves.drift(temperature, self._u[own])
-        heights = curves.levels.copy()
-        for number in np.unique(level[np.isnan(heights[level, 0])]):
-            heights[number] = rest[level == number].mean(axis=0)
-        return rest - heights[level]
+        rest = np.empty(len(self.rows))
+        for fold in range(len(self._products)):
+            out = self._fold == fold
+            temperature, level = self.rows.temperature_degc, self.rows.level[out]
+            seen = temperature[~out]
+            curves = self.fit(leave_out=fold)
+            inside = np.clip(temperature[out], seen.min(), seen.max())
+            part = self.rows.output[out, self.axis] - curves.drift(inside, self._u[out])
+            heights = curves.levels.copy()
+            for number in np.unique(level[np.isnan(heights[level])]):
+                heights[number] = part[level == number].mean()
+            rest[out] = part - heights[level]
+        return rest
 
 
-@dataclass(frozen=True, slots=True)
-class _Solved:
-    """Weights [q, m], levels [P, m], (X'X)^-1 [q, q] with the levels fitted too, variances [m]."""
-
-    weights: Floats
-    levels: Floats
-    inverse: Floats
-    variance: Floats
+def _product(columns: Floats) -> Floats:
+    product: Floats = columns.T @ columns
+    return product
 
 
-def _solve(products: Floats, size: int, outputs: int) -> _Solved:
-    """Least squares from the products of [columns, outputs, level marks], levels eliminated."""
-    x, y = slice(0, size), slice(size, size + outputs)
-    counts = np.diag(products)[size + outputs :]
+def _solve(products: Floats, size: int) -> tuple[Floats, Floats, Floats]:
+    """Least squares from the products of [columns, output, level marks], levels eliminated.
+
+    Returns weights [size], levels [P], covariance [size, size] of the weights.
+    """
+    counts = np.diag(products)[size + 1 :]
     seen = counts > 0.5
     share = np.where(seen, 1.0 / np.where(seen, counts, 1.0), 0.0)
-    to_level = products[size + outputs :, : size + outputs]
-    centred = products[: size + outputs, : size + outputs] - to_level.T @ (
-        share[:, None] * to_level
-    )
-    length = np.sqrt(np.maximum(np.diag(centred)[x], 1e-300))
-    values, vectors = np.linalg.eigh(centred[x, x] / np.outer(length, length))
-    kept = values > _RANK * max(values[-1], 1e-300) if size else np.zeros(0, np.bool_)
-    turned = vectors[:, kept] / length[:, None]
-    inverse = turned / values[kept] @ turned.T
-    weights = inverse @ centred[x, y]
-    rest = np.diag(centred[y, y]) - np.einsum("qm,qm->m", weights, centred[x, y])
-    freedom = counts.sum() - seen.sum() - kept.sum()
-    levels = share[:, None] * (to_level[:, y] - to_level[:, x] @ weights)
+    to_level = products[size + 1 :, : size + 1]
+    centred = products[: size + 1, : size + 1] - to_level.T @ (share[:, None] * to_level)
+    length = np.sqrt(np.maximum(np.diag(centred)[:size], 1e-300))
+    inverse = _inverse(centred[:size, :size] / np.outer(length, length))
+    inverse /= np.outer(length, length)
+    weights = inverse @ centred[:size, size]
+    freedom = counts.sum() - seen.sum() - size
+    square = max(float(centred[size, size] - weights @ centred[:size, size]), 0.0)
+    levels = share * (to_level[:, size] - to_level[:, :size] @ weights)
     levels[~seen] = np.nan
-    variance = np.maximum(rest, 0.0) / freedom if freedom > 0 else np.full(outputs, np.inf)
-    return _Solved(weights, levels, inverse, variance)
+    return weights, levels, inverse * (square / max(freedom, 1.0))
+
+
+def _inverse(matrix: Floats) -> Floats:
+    """Inverse of a symmetric matrix; directions that no row has seen are left at nil."""
+    if not len(matrix):
+        return matrix
+    factor, failed = scipy.linalg.lapack.dpotrf(matrix, lower=1)
+    if not failed and np.diag(factor).min() ** 2 > _RANK:
+        lower, _ = scipy.linalg.lapack.dpotri(factor, lower=1)
+        return np.asarray(np.tril(lower) + np.tril(lower, -1).T, np.float64)
+    values, vectors = np.linalg.eigh(matrix)
+    kept = values > _RANK * max(float(values[-1]), 1e-300)
+    return np.asarray(vectors[:, kept] / values[kept] @ vectors[:, kept].T, np.float64)

@@ -19,9 +19,12 @@ LADDER: Final = (
     (1, 1),
     (2, 1),
     (3, 1),
-    *((3, pieces) for pieces in (2, 3, 4, 5, 6, 8, 10, 12, 16, 20)),
+    *((3, pieces) for pieces in (2, 3, 4, 6, 8, 12, 24)),
 )
-"""Degrees and pieces of the smooth curves, from the stiffest to the most flexible."""
+"""Degrees and pieces of the smooth curves, from the stiffest to the most flexible.
+
+All pieces divide the span's 24th parts, so curves of different ones share their borders.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +47,9 @@ class Basis:
     @property
     def breaks(self) -> Floats:
         """Ends of the pieces [pieces + 1] [degC]."""
-        return np.linspace(self.low_degc, self.high_degc, self.pieces + 1)
+        # k / n is the same number for the same share of the span, whatever n.
+        shares = np.arange(self.pieces + 1) / self.pieces
+        return self.low_degc + (self.high_degc - self.low_degc) * shares
 
     @property
     def knots(self) -> Floats:
@@ -53,7 +58,8 @@ class Basis:
 
     def values(self, temperature_degc: Floats) -> Floats:
         """Return the functions [N, size] at temperatures [N] [degC]."""
-        inside = np.clip(np.atleast_1d(temperature_degc), self.low_degc, self.high_degc)
+        breaks = self.breaks
+        inside = np.clip(np.atleast_1d(temperature_degc), breaks[0], breaks[-1])
         matrix = BSpline.design_matrix(inside, self.knots, self.degree)
         return np.asarray(matrix.toarray(), np.float64)
 

@@ -7,14 +7,14 @@ import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
 from ahrs_service.calibration.coloured import inflation
-from ahrs_service.calibration.smooth_drift import Problem, Structure
+from ahrs_service.calibration.smooth_drift import AxisProblem, Structure
 from ahrs_service.calibration.thermal_rows import ThermalRows
 from ahrs_service.records import Floats
 
 LARGEST_LAG_S: Final = 180.0
 _HALF_CHI2: Final = 0.5 * 3.841
 """Drop of the log likelihood at the ends of a 95 % interval (chi-squared of one parameter)."""
-_GRID: Final = np.linspace(-1.0, 1.0, 25) ** 3 * LARGEST_LAG_S
+_GRID: Final = np.linspace(-1.0, 1.0, 17) ** 3 * LARGEST_LAG_S
 """Where the profile is looked at first, finest about 0 [s]."""
 
 
@@ -45,16 +45,23 @@ class _Profile:
     """
 
     def __init__(
-        self, rows: ThermalRows, structure: Structure, zero_degc: float, level_output: Floats
+        self,
+        rows: ThermalRows,
+        structures: tuple[Structure, ...],
+        zero_degc: float,
+        level_output: Floats,
     ) -> None:
-        self._rows, self._structure, self._zero = rows, structure, zero_degc
-        self._u, self._one_block = level_output, np.zeros(len(rows), np.int64)
+        self._rows, self._structures, self._zero = rows, structures, zero_degc
+        self._u = level_output
         self.look_at(0.0)
 
     def _residual(self, lag_s: float) -> Floats:
         rows = self._rows.at_element(lag_s)
-        problem = Problem(rows, self._structure, self._zero, self._u, self._one_block)
-        return problem.residual(problem.fit())
+        rests = []
+        for axis, structure in enumerate(self._structures):
+            problem = AxisProblem(rows, axis, structure, self._zero, self._u)
+            rests.append(problem.residual(problem.fit()))
+        return np.stack(rests, axis=1)
 
     def look_at(self, lag_s: float) -> None:
         """Take the residual's colour from that at `lag_s`."""
@@ -68,16 +75,20 @@ class _Profile:
 
 
 def estimate_lag(
-    rows: ThermalRows, structure: Structure, zero_degc: float, level_output: Floats
+    rows: ThermalRows,
+    structures: tuple[Structure, ...],
+    zero_degc: float,
+    level_output: Floats,
 ) -> Lag:
     """Estimate the elements' lag by the profile likelihood, between the ends of LARGEST_LAG_S.
 
     A run at one constant rate cannot tell a lag from a shift of the temperature, and the interval
-    then is as wide as the search. `level_output` [P, 3] as Problem takes it.
+    then is as wide as the search. `structures` of the three axes, `level_output` [P, 3] as
+    AxisProblem takes it.
     """
-    if structure.size == 0:
+    if not any(structure.size for structure in structures):
         return Lag()
-    profile = _Profile(rows, structure, zero_degc, level_output)
+    profile = _Profile(rows, structures, zero_degc, level_output)
     # The colour at lag 0 is that of the lag itself; once it is off, the profile is sharper.
     profile.look_at(_minimum(profile))
     best = _minimum(profile)

@@ -1,5 +1,7 @@
 """From fitted numbers to the records of a calibration."""
 
+import numpy as np
+
 from ahrs_service.calibration.temperature_basis import Basis
 from ahrs_service.calibration.triad import vector
 from ahrs_service.records import Floats
@@ -16,6 +18,14 @@ def matrix_rows(values: Floats) -> Matrix:
 def curve_of(basis: Basis, coefficients: Floats) -> Curve:
     """Return the curve of B-spline `coefficients` [size, M]."""
     return Curve.from_ppoly(basis.breaks, basis.polynomials(coefficients))
+
+
+def columns_of(parts: list[tuple[Basis, Floats]]) -> Curve:
+    """Return one curve whose columns are those of `parts`, on the borders of all."""
+    curves = [curve_of(basis, coefficients) for basis, coefficients in parts]
+    breaks = sorted({border for curve in curves for border in curve.breaks_degc})
+    tables = np.concatenate([curve.on(breaks).table() for curve in curves], axis=1)
+    return Curve.from_ppoly(breaks, tables.transpose(2, 0, 1)[::-1])
 
 
 def sum_of(one: Curve, other: Curve) -> Curve:
