@@ -11,19 +11,16 @@ of the output per segment, E_T = a N^2 + b N + c. How the unit lies does not ent
 Segments jump at their borders, as the paper's do, or meet there (`continuous`).
 """
 
-from typing import Final
-
 import numpy as np
 
 from ahrs_service.calibration.errors import CalibrationError
+from ahrs_service.calibration.smooth_choice import SEGMENT_DEGC
 from ahrs_service.calibration.temperature_basis import Basis, segments
 from ahrs_service.calibration.thermal_records import curve_of, matrix_rows
 from ahrs_service.calibration.thermal_rows import ThermalRows
 from ahrs_service.calibration.triad import vector
 from ahrs_service.records import Floats
 from ahrs_service.sensor.parameters import TriadCalibration
-
-SEGMENT_DEGC: Final = 5.0
 
 
 def segment_basis(rows: ThermalRows, continuous: bool, width_degc: float = SEGMENT_DEGC) -> Basis:

@@ -13,18 +13,22 @@ from ahrs_service.calibration.temperature_basis import LADDER
 from ahrs_service.calibration.thermal_rows import ThermalRows
 from ahrs_service.records import Floats, Integers
 
-FOLDS: Final = 10
+FOLDS: Final = 11
 SESSION_BLOCKS: Final = 20
-ROWS_EACH: Final = 10
+"""No multiple of FOLDS: like times of two sessions, and so like temperatures, are not held out
+together."""
+ROWS_EACH: Final = 5
+SEGMENT_DEGC: Final = 5.0
+"""Width of the paper's segments, in which a part's curve is taken as straight."""
 _LEAST_ROWS: Final = 2
-_PASSES: Final = 2
+_INPUT_TO_DRIFT: Final = 10.0
 
 
 def time_folds(rows: ThermalRows, folds: int = FOLDS) -> Integers:
     """Return the number [N] of the fold that each row belongs to.
 
     Each session is cut into SESSION_BLOCKS contiguous blocks of time, dealt out to the folds in
-    turn: neighbours in time are held out together, and no fold takes a whole end of the span.
+    turn: neighbours in time are held out together.
     """
     fold, first = np.empty(len(rows), np.int64), 0
     for number in np.unique(rows.session):
@@ -42,14 +46,16 @@ def level_outputs(rows: ThermalRows) -> Floats:
     return np.stack(sums, axis=1) / marks[:, None]
 
 
-def scale_kinds(level_output: Floats, axis: int) -> tuple[Scale, ...]:
+def scale_kinds(rows: ThermalRows, level_output: Floats, axis: int) -> tuple[Scale, ...]:
     """Return what of an axis's scale these levels [P, 3] can tell.
 
-    Its own input's where that differs by half of the largest input; that of all inputs where the
-    levels differ in all three directions by as much.
+    Its own input's where that differs by half of the largest input, and by far more than the bias
+    drifts: scale drifts by per cents. That of all inputs where the levels differ in all three
+    directions by as much.
     """
     largest = np.abs(level_output).max()
-    if len(level_output) < 2 or np.ptp(level_output[:, axis]) <= 0.5 * largest:
+    drift = (rows.output - level_output[rows.level]).std(axis=0).max()
+    if np.ptp(level_output[:, axis]) <= max(0.5 * largest, _INPUT_TO_DRIFT * drift):
         return (Scale.NONE,)
     singular = np.linalg.svd(level_output - level_output.mean(axis=0), compute_uv=False)
     if len(level_output) < 4 or singular[-1] < 0.5 * largest:
@@ -81,17 +87,25 @@ class Choice:
     def best(self, candidates: list[Structure]) -> Structure:
         """Return the structure of the least held-out residual among those the rows can bear.
 
-        Those are the structures with ROWS_EACH rows or more for each coefficient. The least
-        held-out residual foretells best (Li, Annals of Statistics 15, 1987).
+        Those are the structures with ROWS_EACH rows or more for each coefficient, whose curves bend
+        no faster than the paper's table: a coefficient for each SEGMENT_DEGC of the span, and the
+        slope. The least held-out residual foretells best (Li, Annals of Statistics 15, 1987).
         """
-        bearable = [one for one in candidates if one.size * ROWS_EACH <= len(self._rows)]
+        low, high = self._rows.span_degc
+        most = 1 + round((high - low) / SEGMENT_DEGC)
+        bearable = [
+            one
+            for one in candidates
+            if one.size * ROWS_EACH <= len(self._rows)
+            and max(sum(one.bias), sum(one.scale)) - 1 <= most
+        ]
         return min(bearable, key=lambda one: (self.rms(one), one.size))
 
-    def structure(self, start: Structure) -> Structure:
-        """Return the structure that the held-out blocks of time speak for."""
-        kinds = scale_kinds(self._u, self._axis)
+    def structure(self, start: Structure, passes: int) -> Structure:
+        """Return the structure that the held-out blocks of time speak for, begun from `start`."""
+        kinds = scale_kinds(self._rows, self._u, self._axis)
         now = start
-        for _ in range(_PASSES if len(kinds) > 1 else 1):
+        for _ in range(passes if len(kinds) > 1 else 1):
             now = self.best([Structure(bias, now.scale, now.kind) for bias in LADDER])
             scales = [(order, kind) for kind in kinds if kind for order in LADDER[1:]]
             options = [Structure(now.bias, order, kind) for order, kind in scales]

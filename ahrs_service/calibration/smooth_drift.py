@@ -123,21 +123,24 @@ class AxisProblem:
         self._scale = Basis(*rows.span_degc, *structure.scale)
         self._u = level_output[rows.level]
         self._fold = np.zeros(len(rows), np.int64) if fold is None else fold
-        bias, scale = (
-            basis.zeroed(rows.temperature_degc, zero_degc) for basis in (self._bias, self._scale)
-        )
-        parts = [bias, *(scale * self._u[:, [j]] for j in structure.inputs(axis))]
+        self._columns = self._design(rows.temperature_degc, self._u)
         marks = np.eye(rows.levels)[rows.level]
-        everything = np.hstack([*parts, rows.output[:, [axis]], marks])
+        everything = np.hstack([self._columns, rows.output[:, [axis]], marks])
         self._products = np.stack(
             [_product(everything[self._fold == n]) for n in range(int(self._fold.max()) + 1)]
         )
 
-    def fit(self, leave_out: int | None = None) -> AxisCurves:
-        """Fit all rows but those of one fold."""
+    def _design(self, temperature_degc: Floats, u: Floats) -> Floats:
+        """Return the columns [N, size]: the bias's functions, then the scale's times inputs."""
+        parts = [self._bias.zeroed(temperature_degc, self.zero_degc)]
+        if self.structure.kind is not Scale.NONE:
+            scale = self._scale.zeroed(temperature_degc, self.zero_degc)
+            parts += [scale * u[:, [j]] for j in self.structure.inputs(self.axis)]
+        return np.hstack(parts)
+
+    def fit(self) -> AxisCurves:
+        """Fit all rows."""
         total = self._products.sum(axis=0)
-        if leave_out is not None:
-            total = total - self._products[leave_out]
         weights, levels, covariance = _solve(total, self.structure.size)
         count = self._bias.size - 1
         full = np.zeros((self._scale.size - 1, 3))
@@ -167,14 +170,17 @@ class AxisProblem:
         that was not fitted says nothing about its own height: its mean is taken off.
         """
         rest = np.empty(len(self.rows))
-        for fold in range(len(self._products)):
-            out = self._fold == fold
-            temperature, level = self.rows.temperature_degc, self.rows.level[out]
-            seen = temperature[~out]
-            curves = self.fit(leave_out=fold)
+        total, temperature = self._products.sum(axis=0), self.rows.temperature_degc
+        for fold, product in enumerate(self._products):
+            out = np.flatnonzero(self._fold == fold)
+            seen, level = temperature[self._fold != fold], self.rows.level[out]
+            weights, heights, _ = _solve(total - product, self.structure.size)
+            columns = self._columns[out]
             inside = np.clip(temperature[out], seen.min(), seen.max())
-            part = self.rows.output[out, self.axis] - curves.drift(inside, self._u[out])
-            heights = curves.levels.copy()
+            far = np.flatnonzero(inside != temperature[out])
+            if len(far):
+                columns[far] = self._design(inside[far], self._u[out[far]])
+            part = self.rows.output[out, self.axis] - columns @ weights
             for number in np.unique(level[np.isnan(heights[level])]):
                 heights[number] = part[level == number].mean()
             rest[out] = part - heights[level]

@@ -47,12 +47,13 @@ class SmoothFit:
 
 def fit_smooth(rows: ThermalRows, zero_degc: float, with_lag: bool = True) -> SmoothFit:
     """Fit curves and lag to `rows`; all drift is zero at `zero_degc`, which must be inside."""
-    chosen = _choose(rows, zero_degc)
+    chosen = _choose(rows, zero_degc, (Structure(),) * 3, passes=2)
     lag = Lag()
     if with_lag:
         lag = estimate_lag(rows, chosen.structures, zero_degc, level_outputs(rows))
     if lag.is_told:
-        lagged = _choose(rows.at_element(lag.lag_s), zero_degc, chosen.structures)
+        acting = rows.at_element(lag.lag_s)
+        lagged = _choose(acting, zero_degc, chosen.structures, passes=1)
         # What the residual of the fit speaks for must hold for rows held out, too.
         if np.log(lagged.after / chosen.after).sum() < 0.0:
             chosen = lagged
@@ -74,10 +75,12 @@ class _Chosen:
 
 
 def _choose(
-    rows: ThermalRows, zero_degc: float, start: tuple[Structure, ...] = (Structure(),) * 3
+    rows: ThermalRows, zero_degc: float, start: tuple[Structure, ...], passes: int
 ) -> _Chosen:
     choices = [Choice(rows, axis, zero_degc) for axis in range(3)]
-    structures = tuple(one.structure(begin) for one, begin in zip(choices, start, strict=True))
+    structures = tuple(
+        one.structure(begin, passes) for one, begin in zip(choices, start, strict=True)
+    )
     before = [choice.rms(Structure()) for choice in choices]
     after = [choice.rms(one) for choice, one in zip(choices, structures, strict=True)]
     return _Chosen(rows, structures, np.array(before), np.maximum(after, 1e-300))

@@ -19,11 +19,11 @@ LADDER: Final = (
     (1, 1),
     (2, 1),
     (3, 1),
-    *((3, pieces) for pieces in (2, 3, 4, 6, 8, 12, 24)),
+    *((3, pieces) for pieces in (2, 3, 4, 6, 8, 12, 16, 24)),
 )
 """Degrees and pieces of the smooth curves, from the stiffest to the most flexible.
 
-All pieces divide the span's 24th parts, so curves of different ones share their borders.
+All pieces divide the span's 48th parts, so curves of different ones share their borders.
 """
 
 

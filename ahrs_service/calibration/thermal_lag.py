@@ -89,24 +89,19 @@ def estimate_lag(
     if not any(structure.size for structure in structures):
         return Lag()
     profile = _Profile(rows, structures, zero_degc, level_output)
+    n = int(np.clip(np.argmin([profile(x) for x in _GRID]), 1, len(_GRID) - 2))
     # The colour at lag 0 is that of the lag itself; once it is off, the profile is sharper.
-    profile.look_at(_minimum(profile))
-    best = _minimum(profile)
-    least = profile(best)
+    profile.look_at(_GRID[n])
+    bounds = (_GRID[n - 1], _GRID[n + 1])
+    found = minimize_scalar(profile, bounds=bounds, method="bounded", options={"xatol": 0.05})
+    best, least = float(found.x), float(found.fun)
 
     def above(lag_s: float) -> float:
         return profile(lag_s) - least - _HALF_CHI2
 
     ends = (-LARGEST_LAG_S, LARGEST_LAG_S)
     low, high = (
-        float(brentq(above, best, end, xtol=0.01)) if above(end) > 0.0 else end for end in ends
+        float(brentq(above, best, end, xtol=0.1)) if above(end) > 0.0 else end for end in ends
     )
     is_told = low > ends[0] and high < ends[1] and not low <= 0.0 <= high
     return Lag(best if is_told else 0.0, low, high, is_told)
-
-
-def _minimum(profile: _Profile) -> float:
-    costs = [profile(x) for x in _GRID]
-    n = int(np.clip(np.argmin(costs), 1, len(_GRID) - 2))
-    found = minimize_scalar(profile, bounds=(_GRID[n - 1], _GRID[n + 1]), method="bounded")
-    return float(found.x)
