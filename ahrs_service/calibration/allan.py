@@ -24,6 +24,7 @@ _LEAST_CLUSTERS: Final = 9
 _LEAST_SAMPLES: Final = 100
 _SEEN_SIGMA: Final = 2.0
 _CONFIDENCE: Final = 0.68
+_OCTAVES_SHARE: Final = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +127,8 @@ def fit_coefficients(values: Floats, interval_s: float) -> NoiseCoefficients:
     """Return N, B, K and Q of `values` [N] from octave-spaced overlapping Allan variances.
 
     Non-negative least squares of the squares, each variance weighted by its own uncertainty
-    sigma^2 sqrt(2 / freedom). Octaves apart, estimates are nearly independent.
+    sigma^2 sqrt(2 / freedom), and by another sqrt(2) since estimates an octave apart share half of
+    their differences.
     """
     curve = overlapping_deviation(values, interval_s, averaging_factors(len(values)))
     tau, variance = curve.tau_s, curve.deviation**2
@@ -136,32 +138,37 @@ def fit_coefficients(values: Floats, interval_s: float) -> NoiseCoefficients:
         return NoiseCoefficients(*([0.0] * 8))
     squares, _ = nnls(model / spread[:, None], variance / spread)
     # A second round weights by the fitted curve, for a low estimate must not weigh more.
-    spread = (model @ squares) * np.sqrt(2.0 / curve.freedom)
-    weighted = model / spread[:, None]
-    squares, _ = nnls(weighted, variance / spread)
-    values_sigma = [
-        _root_and_sigma(square, sigma)
-        for square, sigma in zip(squares.tolist(), _sigmas(weighted, squares), strict=True)
-    ]
-    (n, n_sigma), (b, b_sigma), (k, k_sigma), (q, q_sigma) = values_sigma
+    spread = (model @ squares) * np.sqrt(_OCTAVES_SHARE * 2.0 / curve.freedom)
+    squares, sigmas = _seen(model / spread[:, None], variance / spread)
+    found = [_root_and_sigma(*pair) for pair in zip(squares.tolist(), sigmas.tolist(), strict=True)]
+    (n, n_sigma), (b, b_sigma), (k, k_sigma), (q, q_sigma) = found
     return NoiseCoefficients(n, b, k, q, n_sigma, b_sigma, k_sigma, q_sigma)
 
 
-def _sigmas(weighted: Floats, squares: Floats) -> list[float]:
-    """1-sigma of the squares: with all terms that are not held at zero."""
-    free = squares > 0.0
+def _seen(weighted: Floats, variance: Floats) -> tuple[Floats, Floats]:
+    """Return the squares [4] and their 1-sigma, of the terms that stand out of their own sigma.
+
+    A term that does not is left out and the others are fitted anew: it would only take away from
+    them, for none of them can be negative. Its sigma is then that of having it alone in addition.
+    """
     lengths = np.linalg.norm(weighted, axis=0)
-    sigmas = 1.0 / lengths
-    if free.any():
+    free = np.ones(weighted.shape[1], np.bool_)
+    while True:
+        squares, sigmas = np.zeros(len(free)), 1.0 / lengths
+        squares[free], _ = nnls(weighted[:, free], variance)
         part = weighted[:, free] / lengths[free]
         sigmas[free] = np.sqrt(np.diag(np.linalg.pinv(part.T @ part))) / lengths[free]
-    return [float(sigma) for sigma in sigmas]
+        score = np.where(free, squares / sigmas, np.inf)
+        weakest = int(np.argmin(score))
+        if score[weakest] >= _SEEN_SIGMA or free.sum() == 1:
+            return squares, sigmas
+        free[weakest] = False
 
 
 def _root_and_sigma(square: float, sigma: float) -> tuple[float, float]:
-    """Return the coefficient of a square and its 1-sigma: sigma / 2c, but near zero its root."""
+    """Return the coefficient of a square and its 1-sigma: sigma / 2c, but of zero its root."""
     root = math.sqrt(square)
-    return root, sigma / (2.0 * root) if square > sigma else math.sqrt(sigma)
+    return root, sigma / (2.0 * root) if square > 0.0 else math.sqrt(sigma)
 
 
 def random_walk_at(curve: AllanDeviation, tau_s: float = 1.0) -> float:

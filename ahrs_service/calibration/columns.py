@@ -35,6 +35,16 @@ class ImuColumns:
         """Usual time between samples [s], NaN for fewer than two."""
         return float(np.median(np.diff(self.time_s))) if len(self.time_s) > 1 else np.nan
 
+    def part(self, first: int, last: int) -> "ImuColumns":
+        """Return the samples `first` up to `last`, not with it."""
+        place = slice(first, last)
+        return ImuColumns(
+            self.time_s[place],
+            self.gyro_rad_s[place],
+            self.accel_m_s2[place],
+            self.temperature_degc[place],
+        )
+
 
 def check_force_unit(force_m_s2: Floats) -> None:
     """Raise CalibrationError where the force [K, 3] of still poses is not in m/s^2.

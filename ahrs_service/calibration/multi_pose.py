@@ -8,13 +8,14 @@ matrix in the accelerometers' axes; the bias is their mean at rest (Tedaldi, Pre
 robust and easy to implement method for IMU calibration without external equipments", ICRA 2014).
 """
 
+import itertools
 import math
 from collections.abc import Callable
 from typing import Final
 
 import numpy as np
 
-from ahrs_service.calibration.columns import ImuColumns, check_force_unit
+from ahrs_service.calibration.columns import AXES, ImuColumns, check_force_unit
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.least_squares import Fit, gauss_newton
 from ahrs_service.calibration.poses import (
@@ -24,7 +25,7 @@ from ahrs_service.calibration.poses import (
     span_of,
     sphere_coverage,
 )
-from ahrs_service.calibration.triad import TriadFit, check_matrix, from_inverse, vector
+from ahrs_service.calibration.triad import TriadFit, check_matrix, check_sigma, from_inverse, vector
 from ahrs_service.calibration.turning import turn_and_leverage
 from ahrs_service.calibration.verdict import TriadVerdict, Vector
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
@@ -32,6 +33,9 @@ from ahrs_service.records import Floats, Integers, Rows
 
 LEAST_POSES: Final = 12
 """Different directions asked for: nine unknowns, and a few that can contradict."""
+
+LARGEST_SIGMA_M_S2: Final = 0.3
+"""Residual of 3 % of gravity: sensors without any calibration are as good."""
 
 _FOLDS: Final = 6
 _PAIRS: Final = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -57,6 +61,7 @@ def fit_accelerometer(poses: Rows, gravity_m_s2: float = STANDARD_GRAVITY_M_S2) 
         )
     fit = _fit_norm(force, gravity_m_s2)
     check_matrix("accelerometer", fit, "is an axis swapped or dead? check the sensor")
+    check_sigma("accelerometer", fit, LARGEST_SIGMA_M_S2, "m/s^2")
     return fit
 
 
@@ -183,6 +188,7 @@ def fit_gyro(columns: ImuColumns, poses: Rows, accel: TriadFit) -> TriadFit:
         )
     bias, variance = rest_bias(poses)
     up = directions(accel.compensate(poses["accel_m_s2"]))
+    _check_axes(turn_residuals(columns, turns, up, bias))
     fit = _fit_turns(columns, turns, up, bias)
     covariance = np.zeros((12, 12))
     covariance[:9, :9] = fit.covariance
@@ -192,9 +198,27 @@ def fit_gyro(columns: ImuColumns, poses: Rows, accel: TriadFit) -> TriadFit:
     check_matrix(
         "gyro",
         gyro,
-        "its axes are not those of the accelerometer; is one swapped or mirrored?",
+        "are the poses held still, and the gyros in their range?",
     )
     return gyro
+
+
+def _check_axes(evaluate: Callable[[Floats], tuple[Floats, Floats]]) -> None:
+    """Raise CalibrationError where gyro axes in another order or sign explain the turns better."""
+    costs = {}
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            inverse = np.array(signs)[:, None] * np.eye(3)[list(order)]
+            costs[order, signs] = float(np.sum(evaluate(inverse.ravel())[0] ** 2))
+    order, signs = min(costs, key=lambda key: costs[key])
+    if costs[order, signs] < 0.5 * costs[(0, 1, 2), (1.0, 1.0, 1.0)]:
+        seen = ", ".join(
+            f"{'-' if sign < 0.0 else ''}{AXES[k]}" for k, sign in zip(order, signs, strict=True)
+        )
+        raise CalibrationError(
+            f"gyro: its axes are not those of the accelerometer, whose x, y, z are {seen} of the "
+            "gyro (swapped or mirrored): correct the orientation of the sensor and record again"
+        )
 
 
 def _fit_turns(

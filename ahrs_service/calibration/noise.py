@@ -13,12 +13,15 @@ import numpy as np
 
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.poses import Booleans
-from ahrs_service.records import Phase, Rows
+from ahrs_service.records import Floats, Phase, Rows
 from ahrs_service.rotation import euler_columns
 
 _BLOCK_S: Final = 5.0
-_STEADY_RAD: Final = math.radians(3.0)
+_STEADY_RAD: Final = math.radians(6.0)
 _LEAST_S: Final = 10.0
+_LEAST_IN_BLOCK: Final = 4
+_KNOCK: Final = 10.0
+_QUANTITIES: Final = ("gate_norm_m_s2", "gate_rate_rad_s", "gate_angular_acceleration_rad_s2")
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,29 +40,34 @@ class GateNoise:
 def steady_motion(estimates: Rows) -> Booleans:
     """Tell which estimates [N] ESTIMATE_DTYPE are of steady motion.
 
-    Blocks of five seconds while running, in which roll and pitch stay within 3 deg of their
-    means and heading, free of its mean slope, too. Nothing is asked of the accelerometer, whose
-    scatter is what is looked for.
+    Blocks of five seconds while running, in which roll and pitch stay within 6 deg of their
+    means and heading, free of its mean slope, too; of them not those in which a quantity of the
+    gate reaches further than ten times what it does in the usual block: a knock, a landing.
     """
     time_s = (estimates["time_ns"] - estimates["time_ns"][0]) * 1e-9
-    block = np.floor(time_s / _BLOCK_S).astype(np.int64)
+    cuts = (np.flatnonzero(np.diff(np.floor(time_s / _BLOCK_S))) + 1).tolist()
     angles = euler_columns(estimates["ned_from_body"])
+    blocks = [
+        slice(first, last)
+        for first, last in zip([0, *cuts], [*cuts, len(estimates)], strict=True)
+        if last - first >= _LEAST_IN_BLOCK
+        and (estimates["phase"][first:last] == Phase.RUNNING).all()
+        and _swing(time_s[first:last], angles[first:last]) < _STEADY_RAD
+    ]
     steady = np.zeros(len(estimates), np.bool_)
-    for first, last in zip(*_edges(block), strict=True):
-        place = slice(first, last)
-        if (estimates["phase"][place] != Phase.RUNNING).any() or last - first < 8:
-            continue
-        swing = np.unwrap(angles[place], axis=0)
-        swing = swing - swing.mean(axis=0)
-        slope = np.polyfit(time_s[place], swing[:, 2], 1)
-        swing[:, 2] -= np.polyval(slope, time_s[place])
-        steady[place] = np.abs(swing).max() < _STEADY_RAD
+    values = np.stack([estimates[name] for name in _QUANTITIES], axis=1)
+    peaks = np.array([values[block].max(axis=0) for block in blocks]).reshape(-1, 3)
+    for block, peak in zip(blocks, peaks, strict=True):
+        steady[block] = not (peak > _KNOCK * np.median(peaks, axis=0)).any()
     return steady
 
 
-def _edges(block: Rows) -> tuple[list[int], list[int]]:
-    cuts = (np.flatnonzero(np.diff(block)) + 1).tolist()
-    return [0, *cuts], [*cuts, len(block)]
+def _swing(time_s: Floats, angles: Floats) -> float:
+    """Return how far roll, pitch and heading [n, 3] go from mean, mean and mean slope [rad]."""
+    swing = np.unwrap(angles, axis=0)
+    swing = swing - swing.mean(axis=0)
+    swing[:, 2] -= np.polyval(np.polyfit(time_s, swing[:, 2], 1), time_s)
+    return float(np.abs(swing).max())
 
 
 def gate_noise(estimates: Rows, chosen: Booleans | None = None) -> GateNoise:
@@ -70,10 +78,7 @@ def gate_noise(estimates: Rows, chosen: Booleans | None = None) -> GateNoise:
     if not len(estimates):
         raise CalibrationError("the recording holds no estimates: it has no IMU of a vehicle")
     steady = steady_motion(estimates) if chosen is None else chosen
-    values = [
-        estimates[name]
-        for name in ("gate_norm_m_s2", "gate_rate_rad_s", "gate_angular_acceleration_rad_s2")
-    ]
+    values = [estimates[name] for name in _QUANTITIES]
     steady = steady & np.isfinite(values).all(axis=0)
     interval_s = float(np.median(np.diff(estimates["time_ns"]))) * 1e-9 if len(steady) > 1 else 0.0
     seconds = float(steady.sum()) * interval_s

@@ -37,10 +37,10 @@ POSE_DTYPE: Final[np.dtype[Any]] = np.dtype(
 the means and the scatter (1-sigma) of the samples, and the mean temperature."""
 
 _FALSE_ALARM: Final = 1e-6
-_COLOURED: Final = 2.0
 _LEAST_SAMPLES: Final = 8
 _LEAST_WINDOWS: Final = 5
 _LATTICE: Final = 1000
+_FLAT: Final = 1e-12
 _NEAR_RAD: Final = math.radians(45.0)
 
 
@@ -48,12 +48,14 @@ _NEAR_RAD: Final = math.radians(45.0)
 class Stillness:
     """What counts as still.
 
-    Windows of `window_s` [s], poses of at least `least_s` [s]. `gyro_cap_rad_s` and
+    `scatter` is how often the noise of the quietest windows a scatter may be, beyond chance: noise
+    is not white. Windows of `window_s` [s], poses of at least `least_s` [s]. `gyro_cap_rad_s` and
     `accel_cap_m_s2` are the largest scatter that can be noise: MEMS at full bandwidth stay below
     them, a hand does not (tremor of 8 to 12 Hz, some 2 deg/s). `turn_rad_s` is how far the mean
     rate may lie from that of the other poses, `shift_m_s2` the mean force within one (0.3 deg).
     """
 
+    scatter: float = 2.0
     window_s: float = 0.5
     least_s: float = 1.5
     gyro_cap_rad_s: float = 0.02
@@ -92,8 +94,7 @@ def windows_of(columns: ImuColumns, stillness: Stillness | None = None) -> Windo
     accel, accel_scatter = _moments(columns.accel_m_s2, length)
     gyro_floor = _floor(columns.gyro_rad_s, gyro_scatter)
     accel_floor = _floor(columns.accel_m_s2, accel_scatter)
-    # Chi-square of length - 1 degrees; twice for noise that is not white.
-    wide = _COLOURED * math.sqrt(chi2.ppf(1.0 - _FALSE_ALARM, length - 1) / (length - 1))
+    wide = limits.scatter * math.sqrt(chi2.ppf(1.0 - _FALSE_ALARM, length - 1) / (length - 1))
     gyro_limit = np.minimum(wide * gyro_floor, limits.gyro_cap_rad_s)
     accel_limit = np.minimum(wide * accel_floor, limits.accel_cap_m_s2)
     is_still = ((gyro_scatter <= gyro_limit) & (accel_scatter <= accel_limit)).all(axis=1)
@@ -138,12 +139,16 @@ def _moments(values: Floats, length: int) -> tuple[Floats, Floats]:
 
 
 def _floor(values: Floats, scatter: Floats) -> Floats:
-    """Noise of a sample [3]: the scatter of the quietest tenth, at least that of its rounding."""
-    count = min(len(scatter), max(_LEAST_WINDOWS, len(scatter) // 10))
-    if not count:
-        return np.full(3, np.nan)
-    quiet = np.sort(scatter, axis=0)[:count]
-    floor: Floats = np.maximum(np.median(quiet, axis=0), resolution(values) / math.sqrt(12.0))
+    """Noise of a sample [3]: the scatter of the quietest tenth, at least that of its rounding.
+
+    Windows without any scatter do not count: they are rounded flat, or at an end of the range.
+    """
+    floor = resolution(values) / math.sqrt(12.0)
+    for axis in range(3):
+        alive = np.sort(scatter[scatter[:, axis] > _FLAT, axis])
+        if len(alive):
+            quiet = alive[: max(_LEAST_WINDOWS, len(alive) // 10)]
+            floor[axis] = max(floor[axis], float(np.median(quiet)))
     return floor
 
 
@@ -220,14 +225,16 @@ def sphere_coverage(up: Floats) -> float:
 
     Six poses along the axes cover 6 (1 - cos 45) / 2 = 88 %. Counted on a Fibonacci lattice.
     """
-    if not len(up):
-        return 0.0
+    return float(((lattice() @ up.T).max(axis=1) > math.cos(_NEAR_RAD)).mean()) if len(up) else 0.0
+
+
+def lattice() -> Floats:
+    """Return 1000 directions [1000, 3] spread evenly over the sphere (Fibonacci lattice)."""
     k = np.arange(_LATTICE) + 0.5
     z = 1.0 - 2.0 * k / _LATTICE
     turn = np.pi * (1.0 + math.sqrt(5.0)) * k
     ring = np.sqrt(1.0 - z**2)
-    lattice = np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
-    return float(((lattice @ up.T).max(axis=1) > math.cos(_NEAR_RAD)).mean())
+    return np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
 
 
 def rest_bias(poses: Rows) -> tuple[Floats, Floats]:
@@ -258,7 +265,7 @@ def check_clipped_poses(columns: ImuColumns, poses: Rows) -> None:
     for name, values, scatter in parts:
         step = resolution(values)
         for axis in range(3):
-            flat = scatter[:, axis] == 0.0
+            flat = scatter[:, axis] < _FLAT
             noisy = scatter[~flat, axis]
             if flat.any() and len(noisy) and np.median(noisy) > step[axis]:
                 raise CalibrationError(

@@ -222,12 +222,8 @@ def _lag(mounting: Mounting) -> float:
 def _half(mounting: Mounting, part: int) -> Mounting:
     """Return the first (0) or second (1) half of the samples of a mounting."""
     count = len(mounting.columns.time_s)
-    place = slice(0, count // 2) if part == 0 else slice(count // 2, count)
-    c = mounting.columns
-    columns = ImuColumns(
-        c.time_s[place], c.gyro_rad_s[place], c.accel_m_s2[place], c.temperature_degc[place]
-    )
-    return replace(mounting, columns=columns)
+    first, last = (0, count // 2) if part == 0 else (count // 2, count)
+    return replace(mounting, columns=mounting.columns.part(first, last))
 
 
 def _aligned(mountings: tuple[Mounting, ...], lags_s: Floats) -> tuple[Floats, Floats]:

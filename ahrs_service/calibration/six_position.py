@@ -13,7 +13,7 @@ import numpy as np
 from ahrs_service.calibration.columns import AXES, check_force_unit
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.poses import directions, span_of, sphere_coverage
-from ahrs_service.calibration.triad import TriadFit, check_matrix, fit_triad, rms
+from ahrs_service.calibration.triad import TriadFit, check_matrix, check_sigma, fit_triad, rms
 from ahrs_service.calibration.verdict import TriadVerdict
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.records import Floats, Integers, Rows
@@ -57,6 +57,7 @@ def fit_accelerometer(poses: Rows, gravity_m_s2: float = STANDARD_GRAVITY_M_S2) 
     check_matrix(
         "accelerometer", fit, "one of its axes is swapped, or a pose was not on a face; check them"
     )
+    check_sigma("accelerometer", fit, LARGEST_TILT_RAD * gravity_m_s2, "m/s^2")
     return fit
 
 

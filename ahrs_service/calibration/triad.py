@@ -1,5 +1,6 @@
 """A fitted triad: matrix and bias of N = K A + B with covariance, however they were found."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -43,6 +44,11 @@ class TriadFit:
         """1-sigma by name; what was not fitted (variance 0) is left out."""
         errors = np.sqrt(np.diag(self.covariance)).tolist()
         return {name: error for name, error in zip(NAMES, errors, strict=True) if error > 0.0}
+
+
+def ideal() -> TriadFit:
+    """Return the triad whose output is its input."""
+    return TriadFit(np.eye(3), np.zeros(3), np.zeros((12, 12)), 0.0, 1.0)
 
 
 def fit_triad(design: Floats, output: Floats) -> TriadFit:
@@ -107,6 +113,15 @@ def check_matrix(name: str, fit: TriadFit, what_to_do: str) -> None:
         f"{name}: the fit asks for {fit.matrix[row, column]:.2f} where the input along "
         f"{AXES[column]} meets the output of {AXES[row]}: {what_to_do}"
     )
+
+
+def check_sigma(name: str, fit: TriadFit, largest: float, unit: str) -> None:
+    """Raise CalibrationError where the fit leaves a residual [unit] larger than `largest`."""
+    if math.isfinite(fit.sigma) and fit.sigma > largest:
+        raise CalibrationError(
+            f"{name}: the best fit still leaves {fit.sigma:.2g} {unit} where a sound sensor held "
+            "still leaves a tenth of it: is an axis dead, or was the unit moving? record again"
+        )
 
 
 def vector(values: Floats) -> Vector:

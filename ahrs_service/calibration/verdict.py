@@ -110,7 +110,7 @@ class Verdict:
         return "use"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values for TOML and JSON, without what is None or empty."""
+        """Return plain values for TOML and JSON, without what is None, empty or not finite."""
         plain: dict[str, Any] = _without_gaps(asdict(self))
         return plain
 
@@ -179,10 +179,12 @@ def _on_standard_errors(triad: TriadVerdict) -> list[Finding]:
 
 
 def _without_gaps(value: Any) -> Any:
-    """Return `value` without None, empty dicts and empty sequences; enums as their text."""
+    """Return `value` without what is None, empty or not finite; enums as their text."""
     if isinstance(value, dict):
         pairs = ((key, _without_gaps(item)) for key, item in value.items())
         return {key: item for key, item in pairs if item not in (None, {}, [])}
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
     if isinstance(value, (list, tuple)):
         return [_without_gaps(item) for item in value]
     return value.value if isinstance(value, StrEnum) else value

@@ -8,6 +8,7 @@ import pytest
 from ahrs_service.calibration.columns import ImuColumns
 from ahrs_service.calibration.poses import POSE_DTYPE
 from ahrs_service.records import empty
+from ahrs_service.sensor.parameters import TriadCalibration
 from ahrs_service.simulation.imu import Imu, consumer_grade
 from ahrs_service.simulation.scenario import make_flight
 
@@ -35,8 +36,8 @@ def warm(imu):
     """The sensor at its room temperature: matrix and bias alone."""
     calibration = imu.calibration
     plain = {
-        name: replace(getattr(calibration, name), temperature_degc=(), a=(), b=(), c=())
-        for name in ("gyro", "accel")
+        name: TriadCalibration(matrix=triad.matrix, bias=triad.bias)
+        for name, triad in (("gyro", calibration.gyro), ("accel", calibration.accel))
     }
     return replace(imu, calibration=replace(calibration, **plain), propeller=None)
 
@@ -72,13 +73,3 @@ def poses_of(force, gyro=None, degc=25.0, hold_s=3.0):
     poses["first"] = 100.0 * poses["start_s"]
     poses["last"] = 100.0 * poses["stop_s"]
     return poses
-
-
-def cut(columns, first, last):
-    place = slice(first, last)
-    return ImuColumns(
-        columns.time_s[place],
-        columns.gyro_rad_s[place],
-        columns.accel_m_s2[place],
-        columns.temperature_degc[place],
-    )

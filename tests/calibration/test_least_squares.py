@@ -1,5 +1,7 @@
 """The solvers against scipy, and the covariances against scatter."""
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -59,7 +61,7 @@ def test_gauss_newton_converges_quadratically_without_noise():
     gauss_newton(evaluate, np.array([1.8, 0.6]))
     errors = [error for error in seen if 1e-12 < error < 0.05]
     assert len(errors) >= 2
-    for before, after in zip(errors, errors[1:], strict=False):
+    for before, after in itertools.pairwise(errors):
         assert after < 3.0 * before**2
 
 

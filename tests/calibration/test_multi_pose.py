@@ -1,5 +1,6 @@
 """Any poses without a table: known matrices, standard errors over many benches, numeric slopes."""
 
+import itertools
 import math
 
 import numpy as np
@@ -84,7 +85,7 @@ def test_a_turn_adds_up_to_the_rotation_of_scipy():
     turn, leverage = np.empty((3, 3)), np.empty((3, 9))
     turn_and_leverage(t, rates, np.eye(3), np.zeros(3), turn, leverage)
     expected = Rotation.identity()
-    for a, b in zip(rates, rates[1:], strict=False):
+    for a, b in itertools.pairwise(rates):
         expected = expected * Rotation.from_rotvec(0.5 * (a + b) / 100.0)
     assert turn == pytest.approx(expected.as_matrix(), abs=1e-12)
 
