@@ -20,22 +20,20 @@ from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.parameters import TriadCalibration
 
 Axes = tuple[AxisCurves, AxisCurves, AxisCurves]
+Structures = tuple[Structure, Structure, Structure]
 
 
 @dataclass(frozen=True, slots=True)
 class SmoothFit:
     """Curves of the three axes, lag, and how well they do.
 
-    `rows` at the temperature that acts; `held_out_before` [3] RMS of held-out rows about their
-    level, `held_out_after` [3] with the curves; `residual` [N, 3] of all rows; `inflation` [3] of
-    the variance by the residual's colour.
+    `rows` at the temperature that acts; `residual` [N, 3] of all rows; `inflation` [3] of the
+    variance by the residual's colour.
     """
 
     rows: ThermalRows
     axes: Axes
     lag: Lag
-    held_out_before: Floats
-    held_out_after: Floats
     residual: Floats
     inflation: Floats
 
@@ -44,52 +42,54 @@ class SmoothFit:
         sigmas = [axis.bias_sigma(temperature_degc) for axis in self.axes]
         return np.stack(sigmas, axis=1) * np.sqrt(self.inflation)
 
+    @property
+    def structures(self) -> Structures:
+        """The structures of the axes."""
+        x, y, z = (axis.structure for axis in self.axes)
+        return x, y, z
+
 
 def fit_smooth(rows: ThermalRows, zero_degc: float, with_lag: bool = True) -> SmoothFit:
     """Fit curves and lag to `rows`; all drift is zero at `zero_degc`, which must be inside."""
-    chosen = _choose(rows, zero_degc, (Structure(),) * 3, passes=2)
-    lag = Lag()
+    structures, rms = choose(rows, zero_degc)
+    lag, acting = Lag(), rows
     if with_lag:
-        lag = estimate_lag(rows, chosen.structures, zero_degc, level_outputs(rows))
+        lag = estimate_lag(rows, structures, zero_degc, level_outputs(rows))
     if lag.is_told:
-        acting = rows.at_element(lag.lag_s)
-        lagged = _choose(acting, zero_degc, chosen.structures, passes=1)
+        lagged = rows.at_element(lag.lag_s)
+        others, lagged_rms = choose(lagged, zero_degc, structures)
         # What the residual of the fit speaks for must hold for rows held out, too.
-        if np.log(lagged.after / chosen.after).sum() < 0.0:
-            chosen = lagged
+        if np.log(lagged_rms / rms).sum() < 0.0:
+            structures, acting = others, lagged
         else:
             lag = replace(lag, lag_s=0.0, is_told=False)
-    curves, residual = _fitted(chosen.rows, chosen.structures, zero_degc)
+    curves, residual = fit_curves(acting, structures, zero_degc)
     colour = np.array([inflation(residual[:, i]) for i in range(3)])
-    return SmoothFit(chosen.rows, curves, lag, chosen.before, chosen.after, residual, colour)
+    return SmoothFit(acting, curves, lag, residual, colour)
 
 
-@dataclass(frozen=True, slots=True)
-class _Chosen:
-    """Rows, the structures chosen for the axes, RMS held-out residual [3] without and with them."""
+def choose(
+    rows: ThermalRows, zero_degc: float, start: Structures | None = None
+) -> tuple[Structures, Floats]:
+    """Return the structures that held-out blocks speak for, and the RMS residual there [3].
 
-    rows: ThermalRows
-    structures: tuple[Structure, ...]
-    before: Floats
-    after: Floats
-
-
-def _choose(
-    rows: ThermalRows, zero_degc: float, start: tuple[Structure, ...], passes: int
-) -> _Chosen:
-    choices = [Choice(rows, axis, zero_degc) for axis in range(3)]
-    structures = tuple(
-        one.structure(begin, passes) for one, begin in zip(choices, start, strict=True)
-    )
-    before = [choice.rms(Structure()) for choice in choices]
-    after = [choice.rms(one) for choice, one in zip(choices, structures, strict=True)]
-    return _Chosen(rows, structures, np.array(before), np.maximum(after, 1e-300))
+    Begun from `start` one turn of the choice is enough, from nothing it takes two.
+    """
+    chosen, rms = [], []
+    for axis in range(3):
+        choice = Choice(rows, axis, zero_degc)
+        begin, passes = (Structure(), 2) if start is None else (start[axis], 1)
+        chosen.append(choice.structure(begin, passes))
+        rms.append(choice.rms(chosen[-1]))
+    x, y, z = chosen
+    return (x, y, z), np.maximum(rms, 1e-300)
 
 
-def _fitted(
-    rows: ThermalRows, structures: tuple[Structure, ...], zero_degc: float
-) -> tuple[Axes, Floats]:
-    """Fit all rows twice: the levels' means of first sight carry some drift, the fitted do not."""
+def fit_curves(rows: ThermalRows, structures: Structures, zero_degc: float) -> tuple[Axes, Floats]:
+    """Return the curves of given structures and what they leave of the rows [N, 3].
+
+    The rows are fitted twice: the levels' means of first sight carry some drift, the fitted do not.
+    """
     levels = level_outputs(rows)
     for _ in range(2):
         problems = [
