@@ -57,18 +57,21 @@ def fit_improved(
     """Fit E_T (Liu et al., eq. (3)); `matrix` K and `bias` B are those of room temperature."""
     basis = segment_basis(rows, continuous)
     moved = rows.output - _room_outputs(rows, room_degc)[rows.level]
-    functions = basis.zeroed(rows.temperature_degc, room_degc)
+    # A table that jumps is nil at room temperature by its fit: a mean over the whole segment.
+    if continuous:
+        functions = basis.zeroed(rows.temperature_degc, room_degc)
+    else:
+        functions = basis.values(rows.temperature_degc)
     parts = []
     for axis in range(3):
         powers = rows.output[:, [axis]] ** np.arange(3)
         design = (functions[:, :, None] * powers[:, None, :]).reshape(len(rows), -1)
         weights = _solve(design, moved[:, axis], "positions or rates along each axis, both ways")
         parts.append(weights.reshape(-1, 3))
-    table = np.stack(parts, axis=2)
-    c, b, a = (
-        curve_of(basis, basis.coefficients_of_zeroed(table[:, power], room_degc))
-        for power in range(3)
-    )
+    tables = list(np.moveaxis(np.stack(parts, axis=2), 1, 0))
+    if continuous:
+        tables = [basis.coefficients_of_zeroed(table, room_degc) for table in tables]
+    c, b, a = (curve_of(basis, table) for table in tables)
     return TriadCalibration(
         matrix=matrix_rows(matrix), bias=vector(bias), a=a, b=b, c=c, model="improved"
     )

@@ -23,7 +23,8 @@ LADDER: Final = (
 )
 """Degrees and pieces of the smooth curves, from the stiffest to the most flexible.
 
-All pieces divide the span's 48th parts, so curves of different ones share their borders.
+All pieces are whole numbers of 16th or of 24th parts of the span, so that curves of different
+orders share their borders.
 """
 
 
