@@ -27,6 +27,10 @@ PROCEDURES: Final[dict[str, tuple[str, str]]] = {
         "ahrs_service.app.calibrate.rate_table",
         "gyros by known rates or an encoder",
     ),
+    "thermal": (
+        "ahrs_service.app.calibrate.thermal",
+        "drift over temperature from a soak or a ramp",
+    ),
     "allan": (
         "ahrs_service.app.calibrate.allan",
         "random walks and bias instability of a unit at rest",
