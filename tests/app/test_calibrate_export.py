@@ -423,6 +423,19 @@ def test_wrong_usage_and_refusals(folder, capsys, words, code, told):
     assert told in text_of(capsys)
 
 
+def test_a_real_recording_s_parameters_and_who_told_them(folder, shared, capsys):
+    flights = shared / "flights"
+    log = flights / "bench_cuav_2021-12-08_static_warmup_2hz.tlog"
+    assert cli.main(["calibrate", "import", str(log), "--imu", "2", "--out", "a.toml"]) == 0
+    assert "as 255/190 tells them, not the vehicle itself" in text_of(capsys)
+    read = calibration_file.load("a.toml")
+    assert read.imu == 1
+    assert read.accel.bias[0] == pytest.approx(0.39934, abs=1e-5)
+    log = flights / "copter_cube_2018-09-25_mission_3imu.tlog"
+    assert cli.main(["calibrate", "import", str(log), "--out", "b.toml"]) == 0
+    assert "INS_GYROFFS_X, INS_GYROFFS_Y" in text_of(capsys)
+
+
 def test_a_recording_without_parameters_is_told(folder, simulated_tlog, capsys):
     assert cli.main(["calibrate", "import", str(simulated_tlog), "--out", "a.toml"]) == 1
     assert "carries no parameters" in text_of(capsys)

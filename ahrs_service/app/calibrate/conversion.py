@@ -1,8 +1,9 @@
 """From calibrations to the parameters of an autopilot, as options and what is known of it say."""
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Final
 
 from ahrs_service.app.calibrate import parameter_change
 from ahrs_service.app.config_file import ConfigError
@@ -17,15 +18,21 @@ from links.param_files import INT32, REAL32, ParamValue, read_param_file
 from links.parameter_values import PX4
 from links.recorded_parameters import read_recorded_parameters
 
+_CALIBRATING: Final = ("INS_ACC", "INS_GYR", "INS_TCAL", "CAL_ACC", "CAL_GYRO", "TC_")
 
-def parameters_of(path: Path) -> dict[str, float]:
-    """Return the parameters in a .param file or a recording."""
-    if path.suffix.lower() in (".tlog", ".bin", ".ulg"):
-        recorded = read_recorded_parameters(path)
-        if not recorded.values:
-            raise ParamError(f"{path}: carries no parameters; give the autopilot's .param file")
-        return recorded.values
-    return parameter_change.values_of(read_param_file(path))
+
+def parameters_of(path: Path, say: Callable[[str], None]) -> dict[str, float]:
+    """Return the parameters in a .param file or a recording; `say` is told what is odd of them."""
+    if path.suffix.lower() not in (".tlog", ".bin", ".ulg"):
+        return parameter_change.values_of(read_param_file(path))
+    recorded = read_recorded_parameters(path)
+    if not recorded.values:
+        raise ParamError(f"{path}: carries no parameters; give the autopilot's .param file")
+    for note in recorded.notes:
+        say(f"{path.name}: {note}")
+    if changed := [name for name in recorded.changed if name.startswith(_CALIBRATING)]:
+        say(f"{path.name}: {', '.join(changed)} changed in it; the last values are taken")
+    return recorded.values
 
 
 def rotation_of(orientation: int | None, parameters: Mapping[str, float], imu: int) -> Floats:
@@ -43,9 +50,10 @@ def exports_of(
     calibrations: Mapping[int, Calibration],
     autopilot: int,
     current: Mapping[str, float],
+    say: Callable[[str], None],
 ) -> dict[int, Export]:
     """Return the parameters of each IMU; `current` those of the autopilot, as far as known."""
-    under = {} if args.compensated_by is None else parameters_of(args.compensated_by)
+    under = {} if args.compensated_by is None else parameters_of(args.compensated_by, say)
     known = {**under, **current}
     at = (args.offsets_at, None if args.works_at is None else tuple(args.works_at))
     exports = {}

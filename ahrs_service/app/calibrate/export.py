@@ -145,7 +145,7 @@ def _to_file(
     if args.autopilot is None:
         raise ConfigError("--param needs --autopilot ardupilot or px4")
     autopilot = AUTOPILOTS[args.autopilot]
-    exports = exports_of(args, calibrations, autopilot, {})
+    exports = exports_of(args, calibrations, autopilot, {}, speaker(out))
     values = {name: typed(v) for e in exports.values() for name, v in e.values.items()}
     comments = [
         f"IMU {imu}: {calibrations[imu].serial or 'unit without serial number'}" for imu in exports
@@ -163,9 +163,7 @@ def _to_file(
 async def _over_link(
     args: argparse.Namespace, calibrations: Mapping[int, Calibration], out: Console
 ) -> None:
-    def say(text: str) -> None:
-        out.print(escape(text), highlight=False, soft_wrap=True)
-
+    say = speaker(out)
     async with ParameterClient(args.link, say, signer_of(args.config), args.system) as client:
         say(f"{client.vehicle} heard")
         await _check_unit(client, calibrations)
@@ -204,7 +202,7 @@ async def _converted(
     current: dict[str, float] = {}
     for imu in calibrations:
         current |= await calibration_parameters(client, imu)
-    exports = exports_of(args, calibrations, client.autopilot, current)
+    exports = exports_of(args, calibrations, client.autopilot, current, speaker(out))
     _show(exports, out)
     if args.compensated_by is None:
         _warn(current, calibrations, client.autopilot, out)
@@ -257,6 +255,11 @@ def _show(exports: Mapping[int, Export], out: Console) -> None:
         out.print(loss_table(imu, export.losses))
         for remark in export.remarks:
             out.print(f"[yellow]note:[/] {escape(remark)}", highlight=False, soft_wrap=True)
+
+
+def speaker(out: Console) -> Callable[[str], None]:
+    """Return what prints a sentence as it is."""
+    return lambda text: out.print(escape(text), highlight=False, soft_wrap=True)
 
 
 def signer_of(config: str | None) -> Signer | None:

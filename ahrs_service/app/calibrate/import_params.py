@@ -27,6 +27,7 @@ from ahrs_service.app.calibrate.export import (
     add_identity_options,
     calibration_parameters,
     signer_of,
+    speaker,
 )
 from ahrs_service.calibration import ardupilot_params, px4_params
 from ahrs_service.sensor.parameters import Calibration
@@ -64,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     if args.link is not None:
         parameters, origin, unit = asyncio.run(_over_link(args, out))
     else:
-        parameters, origin = parameters_of(args.source), args.source.name
+        parameters, origin = parameters_of(args.source, speaker(out)), args.source.name
         digest = hashlib.sha256(args.source.read_bytes()).hexdigest()
         recording = SourceRecording(args.source.name, digest, "parameters")
         provenance = replace(provenance, recordings=(recording,))
@@ -95,11 +96,9 @@ def _calibration(
 
 async def _over_link(args: argparse.Namespace, out: Console) -> tuple[dict[str, float], str, str]:
     """Return the parameters, what told them, and the number of its board."""
-
-    def say(text: str) -> None:
-        out.print(escape(text), highlight=False, soft_wrap=True)
-
-    async with ParameterClient(args.link, say, signer_of(args.config), args.system) as client:
+    async with ParameterClient(
+        args.link, speaker(out), signer_of(args.config), args.system
+    ) as client:
         parameters = await calibration_parameters(client, args.imu)
         return parameters, client.vehicle, await client.unit()
 
