@@ -32,6 +32,7 @@ SILENCE_S: Final = 4.0
 """Without a heartbeat for so long the vehicle is gone."""
 _HEARTBEAT_S: Final = 1.0
 _UNIT_ATTEMPTS: Final = 4
+_PX4_UNKNOWN: Final = "unknown param: "
 _INVALID: Final = int(dialect.MAV_AUTOPILOT_INVALID)
 _NAMES: Final = {ARDUPILOT: "ArduPilot", PX4: "PX4"}
 
@@ -171,6 +172,8 @@ class ParameterClient:
             codes = dialect.enums["MAV_PARAM_ERROR"]
             text = codes[message.error].name if message.error in codes else str(message.error)
             self._errors[param_name(message.param_id)] = text.removeprefix("MAV_PARAM_ERROR_")
+        elif kind == "STATUSTEXT" and _PX4_UNKNOWN in message.text:
+            self._errors[message.text.rpartition(_PX4_UNKNOWN)[2].strip()] = "DOES_NOT_EXIST"
 
     async def _until(self, holds: Callable[[], bool], seconds: float) -> bool:
         """Wait until it holds; False if it did not in so many seconds."""
