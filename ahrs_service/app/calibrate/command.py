@@ -7,7 +7,9 @@ import argparse
 import importlib
 from typing import Final
 
-PROCEDURES: Final[dict[str, tuple[str, str]]] = {}
+PROCEDURES: Final[dict[str, tuple[str, str]]] = {
+    "show": ("ahrs_service.app.calibrate.show", "a calibration's figures, verdict and curves"),
+}
 """Name of a procedure: the module that runs it, and what it does in a line.
 
 Each module has `add_arguments(parser)` and `run(arguments) -> exit code`.
