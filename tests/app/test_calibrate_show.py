@@ -1,4 +1,4 @@
-"""`ahrs-service calibrate show`: figures that are the model's, a picture and an .rrd that hold them."""
+"""`calibrate show`: figures that are the model's, a picture and an .rrd that hold them."""
 
 import json
 import subprocess
@@ -42,7 +42,7 @@ def test_bias_and_scale_are_those_of_the_model():
     temperature = np.array([-60.0, -37.0, 12.0, 70.0, 90.0])
     bias, scale = response(example(), "gyro", temperature)
     segment = [0, 0, 10, 21, 21]
-    expected = np.outer(BREAKS[segment], (1e-4, -2e-4, 0.0)) + (0.01, 0.0, 0.0)
+    expected = np.outer(BREAKS[segment], (1e-4, -2e-4, 0.0)) + np.array((0.01, 0.0, 0.0))
     np.testing.assert_allclose(bias, expected, atol=1e-15)
     np.testing.assert_allclose(scale[:, 0], 1e-4 * BREAKS[segment], atol=1e-14)
     np.testing.assert_allclose(scale[:, 1:], 0.0, atol=1e-14)
