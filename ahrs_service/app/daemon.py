@@ -200,7 +200,7 @@ class Daemon:
         self.health.sample(estimate, time.monotonic())
         self.latest = estimate
         if self.observer is not None:
-            self.observer.estimate(estimates)
+            self.observer.estimate(estimates, self._rows if self.calibration else None)
         if self._on_estimate is not None:
             self._on_estimate(estimates)
 

@@ -119,9 +119,13 @@ def invert(
 ) -> tuple[float, float, float]:
     """A = (K + dK)^-1 (N - E_T(N) - B - G f) of one triad for N = `raw` [3], f = (fx, fy, fz)."""
     segment, rest = find_segment(triad, temperature_degc)
-    p = without_drift(triad, segment, rest, 0, raw[0]) - g_effect(triad, 0, fx, fy, fz)
-    q = without_drift(triad, segment, rest, 1, raw[1]) - g_effect(triad, 1, fx, fy, fz)
-    r = without_drift(triad, segment, rest, 2, raw[2]) - g_effect(triad, 2, fx, fy, fz)
+    p = without_drift(triad, segment, rest, 0, raw[0])
+    q = without_drift(triad, segment, rest, 1, raw[1])
+    r = without_drift(triad, segment, rest, 2, raw[2])
+    if triad["feels_force"] != 0:
+        p -= g_effect(triad, 0, fx, fy, fz)
+        q -= g_effect(triad, 1, fx, fy, fz)
+        r -= g_effect(triad, 2, fx, fy, fz)
     return solve(triad, segment, rest, p, q, r)
 
 

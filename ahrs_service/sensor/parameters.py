@@ -60,6 +60,7 @@ _TRIAD: Final = [
     ("drift", "f8", (SEGMENTS, 18, POWERS)),
     ("segments", "i8"),
     ("matrix_drifts", "i8"),
+    ("feels_force", "i8"),
     ("thermal_lag_s", "f8"),
 ]
 _SOURCES: Final = 16
@@ -67,8 +68,8 @@ COEFFICIENTS_DTYPE: Final[np.dtype[Any]] = np.dtype(
     [("gyro", _TRIAD), ("accel", _TRIAD), ("holds_for_source", "u1", _SOURCES)]
 )
 """What the kernels of compensation and forward read: per triad K, K^-1, B, G, the borders of the
-segments, `drift` [segment, column, power of T - border], whether dK is there at all; and for which
-ImuSource it all holds."""
+segments, `drift` [segment, column, power of T - border], whether dK and G are there at all; and for
+which ImuSource it all holds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,6 +206,7 @@ def coefficients(calibration: Calibration) -> Rows:
         row["bias"] = triad.bias
         row["g_sensitivity"] = triad.g_sensitivity
         row["thermal_lag_s"] = triad.thermal_lag_s
+        row["feels_force"] = triad.g_sensitivity != NIL
         row["matrix_drifts"] = bool(triad.matrix_drift.pieces)
         breaks = triad.breaks_degc()
         row["segments"] = max(len(breaks) - 1, 0)

@@ -41,6 +41,7 @@ PROCEDURES: Final[dict[str, tuple[str, str]]] = {
         "ahrs_service.app.calibrate.import_params",
         "read one from an autopilot's parameters",
     ),
+    "show": ("ahrs_service.app.calibrate.show", "a calibration's figures, verdict and curves"),
 }
 """Name of a procedure: the module that runs it, and what it does in a line.
 
