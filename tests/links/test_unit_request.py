@@ -7,7 +7,7 @@ import pytest
 from ahrs_service.settings import SensorSettings, Settings
 from links.mavlink_codec import dialect
 from links.recording_formats import read_recording
-from links.unit_request import ATTEMPTS, unit_name
+from links.unit_request import ATTEMPTS, UnitRequest, unit_name
 
 NUMBER = dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION
 SIMULATED = b"SIM-1".hex()
@@ -31,15 +31,24 @@ def test_nobody_asks_who_needs_no_calibration(converse):
     assert flight.component.unit == ""
 
 
-def test_who_does_not_answer_is_asked_ever_less_and_not_for_ever(converse):
+def test_who_does_not_answer_is_asked_ever_less(converse):
     flight = converse(settings=Settings(sensor=SensorSettings(calibration="folder")))
     flight.withhold = {"AUTOPILOT_VERSION"}
-    flight.run(199.0)
+    flight.run(68.0)
     times = asked(flight)
-    assert 7 <= len(times) <= ATTEMPTS
+    assert len(times) == 7 < ATTEMPTS
     gaps = [b - a for a, b in itertools.pairwise(times)]
     assert gaps == pytest.approx([2.0**k for k in range(len(gaps))], abs=0.11)
     assert flight.component.unit == ""
+
+
+def test_nobody_is_asked_for_ever():
+    request = UnitRequest()
+    request.begin()
+    times = [at_s for at_s in range(1000) if request.tick(float(at_s), 1, 1)]
+    assert len(times) == ATTEMPTS
+    request.begin()
+    assert request.tick(1000.0, 1, 1)
 
 
 @pytest.mark.parametrize(
