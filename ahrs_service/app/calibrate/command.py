@@ -27,6 +27,10 @@ PROCEDURES: Final[dict[str, tuple[str, str]]] = {
         "ahrs_service.app.calibrate.rate_table",
         "gyros by known rates or an encoder",
     ),
+    "thermal": (
+        "ahrs_service.app.calibrate.thermal",
+        "drift over temperature from a soak or a ramp",
+    ),
     "allan": (
         "ahrs_service.app.calibrate.allan",
         "random walks and bias instability of a unit at rest",
@@ -35,8 +39,9 @@ PROCEDURES: Final[dict[str, tuple[str, str]]] = {
     "export": ("ahrs_service.app.calibrate.export", "give a calibration to the autopilot"),
     "import": (
         "ahrs_service.app.calibrate.import_params",
-        "read a calibration from one",
+        "read one from an autopilot's parameters",
     ),
+    "show": ("ahrs_service.app.calibrate.show", "a calibration's figures, verdict and curves"),
 }
 """Name of a procedure: the module that runs it, and what it does in a line.
 

@@ -1,0 +1,193 @@
+"""The recordings that have a temperature, as rows for a thermal fit (see thermal_real.py).
+
+Each recording is read here by what it is: still windows of a bench, still seconds of an aircraft
+that was handled between them, or in flight the difference of two IMUs on one board, which move
+alike, so that what differs is their biases.
+"""
+
+import gzip
+import io
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ahrs_service.calibration.columns import ImuColumns
+from ahrs_service.calibration.errors import CalibrationError
+from ahrs_service.calibration.thermal_poses import joined, still_rows
+from ahrs_service.calibration.thermal_rows import ThermalRows
+from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.records import ImuSource, Kind
+from links.dataflash_tables import read_tables
+from links.recording_formats import read_recording
+
+MRAD_S, MILLI_G = 1e-3, 1e-3 * STANDARD_GRAVITY_M_S2
+BENCHES = {
+    "cuav 11-25": "bench_cuav_2021-11-25_static_warmup_1hz.tlog",
+    "cuav 12-08": "bench_cuav_2021-12-08_static_warmup_2hz.tlog",
+    "copter 44 min": "bench_copter_2021-11-23_static_44min_1hz.tlog",
+    "matek": "bench_matekh743_2021_isbd2khz_warmup.bin",
+    "cuav bin": "bench_cuavv5_2021-12-08.bin",
+    "swarm": "copter_swarm_2021-12-02_three_sessions_time_jumps.tlog",
+    "rov": "rov_bluerov2_2023-05-04_warmup_att20hz.tlog",
+}
+FLIGHTS = {
+    "log0036": "copter_pixhawk_log0036_crash_temp.bin",
+    "log0039": "copter_pixhawk_log0039_temp.bin",
+    "cuav mission": "copter_cuav_2021-12-02_mission_1hz.tlog",
+}
+CHAMBER = "bench_iim42652_accel_cold_chamber.csv.gz"
+SOLAR = "solar_dawn3_fixedwing_px4_csv.zip"
+
+_FIRST = {ImuSource.RAW_IMU: 1, ImuSource.DATAFLASH: 1, ImuSource.SCALED_IMU2: 2}
+_CHAMBER_ROW = 100
+_QUIET = 3.0
+
+
+@dataclass(frozen=True)
+class Series:
+    """Rows of one triad of one recording; `unit` what its figures are printed in."""
+
+    name: str
+    triad: str
+    rows: ThermalRows
+    unit: str
+    scale: float
+
+
+@dataclass(frozen=True)
+class Silent:
+    """A recording that gives no rows, and why."""
+
+    name: str
+    reason: str
+
+
+def every_series(data: Path) -> Iterator[Series | Silent]:
+    """Read all recordings that are in the folder."""
+    for name, file in BENCHES.items():
+        if (data / file).is_file():
+            for imu, sessions in _imus(data / file):
+                yield from _still(f"{name} {imu}", sessions)
+    if (data / CHAMBER).is_file():
+        yield _chamber(data / CHAMBER)
+    if (data / SOLAR).is_file():
+        for number in (0, 1):
+            yield from _solar(data / SOLAR, number)
+    for name, file in FLIGHTS.items():
+        if (data / file).is_file():
+            yield from _difference(name, _imus(data / file))
+
+
+def _imus(path: Path) -> list[tuple[str, list[ImuColumns]]]:
+    """The IMUs of a log, each as its sessions: the clock of a log may jump back."""
+    if path.suffix == ".bin":
+        return _dataflash_imus(path)
+    readings = read_recording(path).readings
+    found = []
+    for source in (ImuSource.RAW_IMU, ImuSource.SCALED_IMU2):
+        rows = readings[(readings["kind"] == Kind.IMU) & (readings["source"] == source)]
+        if not len(rows):
+            continue
+        time = (rows["time_ns"] - rows["time_ns"][0]) * 1e-9
+        cuts = np.flatnonzero(np.diff(time) < 0.0) + 1
+        columns = [
+            ImuColumns(t - t[0], r["gyro_rad_s"], r["accel_m_s2"], r["temperature_degc"])
+            for t, r in zip(np.split(time, cuts), np.split(rows, cuts), strict=True)
+        ]
+        found.append((f"IMU{_FIRST[source]}", columns))
+    return found
+
+
+def _dataflash_imus(path: Path) -> list[tuple[str, list[ImuColumns]]]:
+    log = read_tables(path)
+    found = []
+    for number in (0, 1):
+        name = "IMU" if number == 0 or "IMU2" not in log.counts() else "IMU2"
+        table = log.table(name)
+        if "I" in (table.dtype.names or ()):
+            table = table[table["I"] == number]
+        columns = {
+            field: log.column(table, name, field)
+            for field in (table.dtype.names or ())
+            if field not in ("I",)
+        }
+        temperature = columns["T"] if "T" in columns else columns["Temp"]
+        gyro, accel = (
+            np.stack([columns[f"{kind}{axis}"] for axis in "XYZ"], axis=1)
+            for kind in ("Gyr", "Acc")
+        )
+        time = (columns["TimeUS"] - columns["TimeUS"][0]) * 1e-6
+        found.append((f"IMU{number + 1}", [ImuColumns(time, gyro, accel, temperature)]))
+    return found
+
+
+def _still(name: str, sessions: list[ImuColumns]) -> Iterator[Series | Silent]:
+    parts, reason = [], "has no sample"
+    for number, columns in enumerate(sessions):
+        try:
+            parts.append(still_rows(columns, number))
+        except CalibrationError as error:
+            reason = str(error)
+    if not parts:
+        yield Silent(name, reason)
+        return
+    for triad, unit, scale, k in (("gyro", "mrad/s", MRAD_S, 0), ("accel", "mg", MILLI_G, 1)):
+        # The autopilot zeroes its gyros when it starts, so a session has its own level.
+        rows = joined([part[k] for part in parts], same_levels=False)
+        yield Series(name, triad, rows, unit, scale)
+
+
+def _chamber(path: Path) -> Series:
+    """Mean rows of the chamber file: it has no times, so a sample counts as a second."""
+    with gzip.open(path, "rt") as file:
+        values = np.loadtxt(file, delimiter=",")
+    count = len(values) // _CHAMBER_ROW
+    means = values[: count * _CHAMBER_ROW].reshape(count, _CHAMBER_ROW, -1).mean(axis=1)
+    nil = np.zeros(count, np.int64)
+    time = np.arange(count) * float(_CHAMBER_ROW)
+    rows = ThermalRows(time, means[:, 4], means[:, 1:4] * MILLI_G, nil, nil)
+    return Series("iim42652", "accel", rows, "mg", MILLI_G)
+
+
+def _solar(path: Path, number: int) -> Iterator[Series]:
+    """Quiet seconds of the aircraft on the ground: means over a second and their variances."""
+    with zipfile.ZipFile(path) as bundle:
+        text = io.TextIOWrapper(bundle.open(f"flight3_vehicle_imu_status_{number}.csv"))
+        table = np.genfromtxt(text, delimiter=",", names=True, deletechars="")
+    gyro, accel, spread, shake = (
+        np.stack([table[f"{name}[{axis}]"] for axis in range(3)], axis=1)
+        for name in ("mean_gyro", "mean_accel", "var_gyro", "var_accel")
+    )
+    quiet = np.ones(len(table), np.bool_)
+    for variance in (spread.sum(axis=1), shake.sum(axis=1)):
+        quiet &= variance < _QUIET * np.quantile(variance, 0.1)
+    time, temperature = table["timestamp"] * 1e-6, table["temperature_accel"]
+    columns = ImuColumns(time, gyro, accel, temperature)
+    keep = np.flatnonzero(quiet & np.isfinite(temperature))
+    level = np.zeros(len(keep), np.int64)
+    rows = ThermalRows(time[keep], temperature[keep], columns.gyro_rad_s[keep], level, level)
+    yield Series(f"solar IMU{number + 1}", "gyro", rows, "mrad/s", MRAD_S)
+
+
+def _difference(name: str, imus: list[tuple[str, list[ImuColumns]]]) -> Iterator[Series | Silent]:
+    """The first IMU's output minus the second's, over windows of a second, all of the flight."""
+    (_, (first, *_)), (_, (second, *_)) = imus
+    size = max(1, round(1.0 / first.interval_s))
+    for triad, unit, scale in (("gyro", "mrad/s", MRAD_S), ("accel", "mg", MILLI_G)):
+        field = "gyro_rad_s" if triad == "gyro" else "accel_m_s2"
+        one, two = getattr(first, field), getattr(second, field)
+        other = np.stack(
+            [np.interp(first.time_s, second.time_s, two[:, axis]) for axis in range(3)], axis=1
+        )
+        count = len(one) // size
+        shape = (count, size)
+        difference = (one - other)[: count * size].reshape(*shape, 3).mean(axis=1)
+        temperature = first.temperature_degc[: count * size].reshape(shape).mean(axis=1)
+        time = first.time_s[: count * size].reshape(shape).mean(axis=1)
+        keep = np.isfinite(temperature)
+        nil = np.zeros(int(keep.sum()), np.int64)
+        rows = ThermalRows(time[keep], temperature[keep], difference[keep], nil, nil)
+        yield Series(f"{name} IMU1-IMU2", triad, rows, unit, scale)
