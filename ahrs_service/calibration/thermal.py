@@ -117,7 +117,7 @@ def _zero(room: Calibration, span_degc: tuple[float, float]) -> float:
 
 def _fit(rows: ThermalRows, zero_degc: float) -> TriadResult:
     fit = fit_smooth(rows, zero_degc)
-    validated = hold_out(fit.rows, zero_degc)
+    validated = hold_out(rows, zero_degc)
     assert validated is not None, "the smooth model can always be fitted: it may be a constant"
     loop = hysteresis(fit.rows.temperature_degc, fit.rows.rate_degc_s(), fit.residual)
     return TriadResult(fit, validated, loop)

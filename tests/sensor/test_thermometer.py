@@ -37,7 +37,7 @@ def test_of_a_thermometer_that_lags_the_lag_is_undone():
 
 
 def test_after_a_step_the_lead_goes_too_far_by_a_ninth_at_most():
-    """(1 + 4/3 x) / ((1 + x) (1 + x / 3)), x = tau s: 1 + exp(-t) / 2 - 3 exp(-3 t) / 2, t / tau."""
+    """With x = tau s, (1 + 4/3 x) / ((1 + x) (1 + x / 3)) gives 1 + exp(-t) / 2 - 3/2 exp(-3 t)."""
     shown = 40.0 - 20.0 * np.exp(-TIME_S / LAG_S)
     acting = acting_columns(with_lags(0.0, -LAG_S), shown, TIME_S)[:, 1]
     assert acting.max() == pytest.approx(40.0 + 20.0 / 9.0, abs=0.05)
