@@ -137,7 +137,7 @@ def _gyro(result: TriadResult, room: TriadCalibration) -> TriadCalibration:
 
 def _calibrated(result: TriadResult, room: TriadCalibration, bias: Floats) -> TriadCalibration:
     fit = result.fit
-    found = smooth_calibration(fit, np.array(room.matrix), bias)
+    found = smooth_calibration(fit.axes, np.array(room.matrix), bias, fit.lag.lag_s)
     nodes = np.linspace(*fit.rows.span_degc, _SIGMA_NODES + 1)
     after = np.sqrt(np.mean(result.held_out.after**2, axis=0))
     lag = (("thermal_lag_s",), ((fit.lag.sigma_s**2,),)) if fit.lag.is_told else ((), ())

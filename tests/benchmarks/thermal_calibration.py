@@ -10,7 +10,8 @@ methods get the same chamber run, heating and cooling at 1 degC a minute. Judged
 own: 3 degC a minute, attitudes and rates of its own, over -40..70 degC; the residual counted is the
 largest of all, as in the paper. A mounting turned by 1.5 degrees makes g sin 1.5 = 26 mg by itself.
 
-The paper (Liu et al., sec. 2.2.2): 30 mg with the conventional model, 5 mg with the improved one.
+"cubic of the bias" is what ArduPilot and PX4 fit, in one position, scale taken as constant. The
+paper (Liu et al., sec. 2.2.2): 30 mg with the conventional model, 5 mg with the improved one.
 """
 
 import argparse

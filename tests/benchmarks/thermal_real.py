@@ -31,7 +31,7 @@ from ahrs_service.calibration.held_out import fit_chosen, hold_out
 from ahrs_service.calibration.smooth_drift import Structure
 from ahrs_service.calibration.smooth_thermal import Axes, fit_curves, fit_smooth
 from ahrs_service.calibration.thermal_rows import ThermalRows
-from ahrs_service.calibration.verdict import Level, span_finding
+from ahrs_service.calibration.verdict import SMALLEST_SPAN_K, Level, span_finding
 
 CUBIC = (Structure(bias=(3, 1)),) * 3
 RISE_DEGC = 0.5
@@ -115,20 +115,26 @@ def per_axis(rest: Floats, scale: float) -> str:
 
 def summary(rows: list[tuple[str, float, dict[str, float]]], console: Console) -> None:
     """Print how often and by how much ours is better than the cubics, by way to hold out."""
-    for split in ("tenths", "later", "session"):
-        for cubic in ("ArduPilot", "PX4"):
+    for split, least_k in (
+        ("tenths", NOTHING_K),
+        ("tenths", SMALLEST_SPAN_K),
+        ("later", NOTHING_K),
+        ("session", NOTHING_K),
+    ):
+        console.print(f"{split}, spans of {least_k:g} degC or more:")
+        for other in ("before", "ArduPilot", "PX4"):
             pairs = [
-                (figures["ours"], figures[cubic])
+                (figures["ours"], figures.get(other, 1.0))
                 for name, span, figures in rows
-                if name == split and cubic in figures and span >= NOTHING_K
+                if name == split and (other in figures or other == "before") and span >= least_k
             ]
             if not pairs:
                 continue
-            ratio = np.exp(np.mean(np.log([ours / other for ours, other in pairs])))
-            better = sum(ours < other for ours, other in pairs)
-            within = sum(ours < 1.01 * other for ours, other in pairs)
+            ratio = np.exp(np.mean(np.log([ours / cubic for ours, cubic in pairs])))
+            better = sum(ours < cubic for ours, cubic in pairs)
+            within = sum(ours < 1.01 * cubic for ours, cubic in pairs)
             console.print(
-                f"{split:8} ours / {cubic:9} geometric mean {ratio:.3f}; better in {better}, "
+                f"  ours / {other:9} geometric mean {ratio:.3f}; better in {better}, "
                 f"better or within 1 % in {within} of {len(pairs)}"
             )
 

@@ -59,7 +59,7 @@ def test_exact_drift_is_found_and_compensated_to_the_last_digits():
     rows, force = six_pose_rows()
     fit = fit_smooth(rows, ZERO, with_lag=False)
     assert all(one.kind is Scale.ALL for one in fit.structures)
-    triad = smooth_calibration(fit, MATRIX, BIAS)
+    triad = smooth_calibration(fit.axes, MATRIX, BIAS)
     _, found = compensate_columns(
         coefficients(Calibration(accel=triad)), rows.output, rows.output, rows.temperature_degc
     )

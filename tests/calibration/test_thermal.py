@@ -13,7 +13,7 @@ RATE_HZ = 10.0
 SECONDS = 600.0
 
 
-def bench(low=-10.0, high=50.0, hysteresis=0.0, loop=True, scale=0.0, poses=1, seed=1):
+def bench(low=-10.0, high=50.0, hysteresis=0.0, loop=True, scale=0.0, poses=1, drift=0.3, seed=1):
     """A unit that heats and cools: bias of a bent curve, scale, loop, held in poses in turn."""
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, SECONDS, 1.0 / RATE_HZ)
@@ -22,11 +22,11 @@ def bench(low=-10.0, high=50.0, hysteresis=0.0, loop=True, scale=0.0, poses=1, s
     bend = np.tanh((t - 15.0) / 15.0)[:, None]
     sign = np.where(time < 0.5 * SECONDS, 0.5, -0.5)[:, None]
     faces = 9.80665 * np.concatenate([-np.eye(3), np.eye(3)])[[2, 5, 0, 3, 1, 4]]
-    force = faces[(time // 10.0).astype(int) % poses]
-    accel = force * (1.0 + scale * (t - 25.0)[:, None]) + 0.3 * bend
+    force = faces[(time // 5.0).astype(int) % poses]
+    accel = force * (1.0 + scale * (t - 25.0)[:, None]) + drift * bend
     gyro = (0.01 + 0.02 * bend + hysteresis * sign) * np.ones(3)
     # A hand turns the unit from one pose to the next in a second.
-    moving = (time % 10.0 < 1.0) & (poses > 1)
+    moving = (time % 5.0 < 1.0) & (poses > 1)
     shake = np.where(moving[:, None], rng.normal(0.0, 0.5, gyro.shape), 0.0)
     return ImuColumns(
         time,
@@ -73,7 +73,7 @@ def test_heating_alone_says_that_it_knows_no_hysteresis():
 
 
 def test_poses_all_around_tell_the_drift_of_scale():
-    result = calibrate_thermal([bench(scale=1e-4, poses=6)], Calibration.ideal())
+    result = calibrate_thermal([bench(scale=1e-4, poses=6, drift=0.05)], Calibration.ideal())
     assert not result.verdict.is_refused
     at = np.array([-5.0, 45.0])
     scale = result.calibration.accel.matrix_at(at)[:, [0, 1, 2], [0, 1, 2]]
