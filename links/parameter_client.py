@@ -17,6 +17,7 @@ from links.mavlink_codec import Decoder, Encoder, Signer, dialect
 from links.param_files import ParamValue
 from links.parameter_values import ARDUPILOT, PX4, decode, encode, param_name, rounded
 from links.registry import open_link
+from links.unit_request import unit_name, unit_request
 
 COMPONENT: Final = int(dialect.MAV_COMP_ID_ONBOARD_COMPUTER2)
 """Not that of the service, which may be running beside."""
@@ -30,6 +31,8 @@ VEHICLE_S: Final = 10.0
 SILENCE_S: Final = 4.0
 """Without a heartbeat for so long the vehicle is gone."""
 _HEARTBEAT_S: Final = 1.0
+_UNIT_ATTEMPTS: Final = 4
+_PX4_UNKNOWN: Final = "unknown param: "
 _INVALID: Final = int(dialect.MAV_AUTOPILOT_INVALID)
 _NAMES: Final = {ARDUPILOT: "ArduPilot", PX4: "PX4"}
 
@@ -41,9 +44,10 @@ def _patience_s(attempt: int) -> float:
 class ParameterClient:
     """An open conversation with one autopilot; use it in `async with`.
 
-    `say` is told what the link says. The first autopilot heard is the one, by
-    HEARTBEAT.autopilot; `autopilot`, `system` and `component` are known inside the `async with`.
-    Every failure is a ParamError that says what to do.
+    `say` is told what the link says. The first autopilot heard is the one, by HEARTBEAT.autopilot,
+    or that of `system`; `autopilot`, `system` and `component` are known inside the `async with`,
+    and `others` are the systems of further autopilots heard. Every failure is a ParamError that
+    says what to do.
     """
 
     def __init__(
@@ -51,8 +55,13 @@ class ParameterClient:
         uri: str,
         say: Callable[[str], None] = lambda text: None,
         signer: Signer | None = None,
+        system: int = 0,
     ) -> None:
+        self.uri = uri
         self.autopilot, self.system, self.component = _INVALID, 0, 0
+        self.others: set[int] = set()
+        self._wanted_system = system
+        self._unit: str | None = None
         self._say = say
         self._signer = signer
         self._encoder = Encoder(1, COMPONENT, signer)
@@ -65,28 +74,39 @@ class ParameterClient:
         self._beat: asyncio.Task[None] | None = None
 
     @property
+    def is_chosen(self) -> bool:
+        """Whether it was told which system to speak to."""
+        return self._wanted_system != 0
+
+    @property
     def vehicle(self) -> str:
         """What is at the other end, in words."""
         return f"{_NAMES[self.autopilot]} {self.system}/{self.component}"
 
     async def __aenter__(self) -> Self:
         """Open the link and wait for an autopilot."""
-        await self._link.start()
-        self._beat = asyncio.create_task(self._keep_beating())
-        if not await self._until(lambda: self.system != 0, VEHICLE_S):
+        try:
+            await self._link.start()
+            self._beat = asyncio.create_task(self._keep_beating())
+            await self._meet()
+        except BaseException:
             await self._close()
+            raise
+        return self
+
+    async def _meet(self) -> None:
+        if not await self._until(lambda: self.system != 0, VEHICLE_S):
+            which = f"of system {self._wanted_system} " if self._wanted_system else ""
             raise ParamError(
-                f"{self._link.uri}: no heartbeat of an autopilot in {VEHICLE_S:.0f} s; check "
-                "that it is switched on, that the other end of the link is right, and that no "
-                "other program holds it"
+                f"{self._link.uri}: no heartbeat of an autopilot {which}in {VEHICLE_S:.0f} s; "
+                "check that it is switched on, that the other end of the link is right, and that "
+                "no other program holds it"
             )
         if self.autopilot not in _NAMES:
-            await self._close()
             raise ParamError(
                 f"{self._link.uri}: autopilot {self.autopilot} is neither ArduPilot nor PX4, whose "
                 "parameters are the ones known here"
             )
-        return self
 
     async def __aexit__(
         self,
@@ -124,18 +144,20 @@ class ParameterClient:
     def _on_bytes(self, data: bytes, received_us: int, peer: Peer) -> None:
         for message, _ in self._decoder.feed(data):
             sender = (message.get_srcSystem(), message.get_srcComponent())
-            if self.system == 0:
-                self._adopt(message, sender)
+            if message.get_type() == "HEARTBEAT" and message.autopilot != _INVALID:
+                self._heard_autopilot(message, sender)
             if sender == (self.system, self.component):
                 self._link.confirm(peer)
                 self._take(message)
         self._news.set()
 
-    def _adopt(self, message: Any, sender: tuple[int, int]) -> None:
-        if message.get_type() == "HEARTBEAT" and message.autopilot != _INVALID:
+    def _heard_autopilot(self, message: Any, sender: tuple[int, int]) -> None:
+        if self.system == 0 and self._wanted_system in (0, sender[0]):
             self.autopilot = int(message.autopilot)
             self.system, self.component = sender
             self._encoder = Encoder(self.system, COMPONENT, self._signer)
+        elif sender[0] != self.system:
+            self.others.add(sender[0])
 
     def _take(self, message: Any) -> None:
         kind = message.get_type()
@@ -144,10 +166,14 @@ class ParameterClient:
         elif kind == "PARAM_VALUE":
             name = param_name(message.param_id)
             self._told[name] = decode(message.param_value, message.param_type, self.autopilot)
+        elif kind == "AUTOPILOT_VERSION":
+            self._unit = unit_name(message.uid, bytes(message.uid2))
         elif kind == "PARAM_ERROR" and message.target_component in (0, COMPONENT):
             codes = dialect.enums["MAV_PARAM_ERROR"]
             text = codes[message.error].name if message.error in codes else str(message.error)
             self._errors[param_name(message.param_id)] = text.removeprefix("MAV_PARAM_ERROR_")
+        elif kind == "STATUSTEXT" and _PX4_UNKNOWN in message.text:
+            self._errors[message.text.rpartition(_PX4_UNKNOWN)[2].strip()] = "DOES_NOT_EXIST"
 
     async def _until(self, holds: Callable[[], bool], seconds: float) -> bool:
         """Wait until it holds; False if it did not in so many seconds."""
@@ -229,6 +255,14 @@ class ParameterClient:
     async def _ask_anew(self, name: str, seconds: float) -> None:
         del self._told[name]
         await self._ask([name], seconds)
+
+    async def unit(self) -> str:
+        """Return the number of the autopilot's board, "" where it does not tell."""
+        for attempt in range(_UNIT_ATTEMPTS):
+            if self._unit is None:
+                self._send(unit_request(self.system, self.component))
+                await self._until(lambda: self._unit is not None, _patience_s(attempt))
+        return self._unit or ""
 
     async def is_alive(self) -> bool:
         """Wait for the vehicle's next heartbeat, but not long."""

@@ -223,11 +223,18 @@ class FarAutopilot:
         self.lose_request: Callable[[Any], bool] = lambda message: False
         self.lose_answer: Callable[[Any], bool] = lambda message: False
         self.encoder = Encoder(1, 1)
+        self.uid = 0x0123456789ABCDEF
         self._autopilot = autopilot
         vehicle.answer = self.answer
 
     def answer(self, message: Any) -> list[bytes]:
         """Take a message; return the frames that come back."""
+        if message.get_type() == "COMMAND_LONG":
+            none = bytes(8)
+            version = dialect.MAVLink_autopilot_version_message(
+                0, 0, 0, 0, 0, none, none, none, 0, 0, self.uid
+            )
+            return [self.encoder.pack(version)]
         if not message.get_type().startswith("PARAM_"):
             return []
         self.is_dead = self.is_dead or self.count("PARAM_SET") >= self.die_after

@@ -32,6 +32,7 @@ _CLASSES: Final = {
     **dict.fromkeys(("a", "b", "c", "matrix_drift", "bias_sigma", "scale_sigma"), Curve),
 }
 _LONGEST_VALUE: Final = 100
+_LONGEST_LINE: Final = 90
 
 
 def load(path: str | Path) -> Calibration:
@@ -186,16 +187,17 @@ def _table(name: str, table: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _value(value: Any, rows: bool = False) -> str:
-    """Write a value of TOML; lists of lists and of texts with `rows` one item a line."""
+    """Write a value of TOML; with `rows` long lists one item a line."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
         return _text(value)
     if isinstance(value, list):
         items = [_value(item) for item in value]
-        if rows and value and isinstance(value[0], (list, str)):
+        line = f"[{', '.join(items)}]"
+        if rows and len(line) > _LONGEST_LINE and isinstance(value[0], (list, str)):
             return "[\n" + "".join(f"    {item},\n" for item in items) + "]"
-        return f"[{', '.join(items)}]"
+        return line
     return repr(value)
 
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from ahrs_service.calibration import autopilot_form as form_of
 from ahrs_service.calibration.autopilot_form import Triad, TriadForm
+from ahrs_service.calibration.autopilot_loss import lag_remarks, loss
 from ahrs_service.calibration.export import Export, Values, number, vector
 from ahrs_service.records import Floats
 from ahrs_service.sensor.parameters import Calibration
@@ -78,13 +79,14 @@ def to_ardupilot(
     body_from_sensor: Floats | None = None,
     below: Mapping[Triad, TriadForm] | None = None,
     caltemp_degc: float | None = None,
-    weights: Floats | None = None,
+    works_at: tuple[float, float] | None = None,
 ) -> Export:
     """Return the parameters of one IMU nearest to `calibration`, and what they lose.
 
     `body_from_sensor` [3, 3] by AHRS_ORIENTATION; `below` what the autopilot had done to the output
-    before the calibration was made from it (`from_ardupilot`); the offsets are those at
-    `caltemp_degc`, room temperature unless given; `weights` as autopilot_form.fit takes them.
+    before the calibration was made from it (`forms_of_ardupilot`); the offsets are those at
+    `caltemp_degc`, room temperature unless given; `works_at` as autopilot_form.fit takes it. Of a
+    triad that the calibration says nothing of there are no offsets and scales.
     ValueError where ArduPilot cannot hold it: a span below 10 degC, offsets or scales out of range.
     """
     names, turn = Names(imu), np.eye(3) if body_from_sensor is None else body_from_sensor
@@ -95,17 +97,25 @@ def to_ardupilot(
         *(form.span_degc for form in below.values()),
     )
     _check_span(span)
-    values: Values = {names.tcal("ENABLE"): 0}
-    losses = {}
+    room = calibration.room_degc if caltemp_degc is None else caltemp_degc
+    values: Values = {}
+    losses, remarks = {}, list(_remarks(names, calibration, span))
     for triad in _LETTERS:
+        if form_of.says_nothing(calibration, triad, below):
+            values |= _no_drift(names, triad) if span is not None else {}
+            remarks.append(f"the calibration says nothing of the {triad}: offsets stay as they are")
+            continue
         bench = form_of.bench(calibration, triad, turn, below.get(triad), span)
-        fitted = form_of.fit(bench, REFERENCE_DEGC, weights)
-        room = calibration.room_degc if caltemp_degc is None else caltemp_degc
-        values |= _triad_values(names, triad, fitted, room)
-        losses[triad] = form_of.loss(bench, _form(values, names, triad, span is not None))
-    if span is not None:
-        values[names.tcal("ENABLE")] = _ENABLED
-    return Export(values, losses, (names.tcal("ENABLE"),), _remarks(names, calibration, span))
+        values |= _triad_values(names, triad, form_of.fit(bench, REFERENCE_DEGC, works_at), room)
+        losses[triad] = loss(bench, _form(values, names, triad, span is not None))
+        if triad == "accel":
+            remarks += _check_accel(values, names)
+    values[names.tcal("ENABLE")] = 0 if span is None else _ENABLED
+    return Export(values, losses, (names.tcal("ENABLE"),), tuple(remarks))
+
+
+def _no_drift(names: Names, triad: Triad) -> Values:
+    return {name: 0.0 for k in _POWERS for name in names.power(triad, k)}
 
 
 def _check_span(span: tuple[float, float] | None) -> None:
@@ -132,11 +142,13 @@ def _triad_values(names: Names, triad: Triad, fitted: TriadForm, room_degc: floa
     values |= dict(zip(names.vector(triad, "OFFS"), map(number, bias), strict=True))
     if triad == "accel":
         values |= dict(zip(names.vector(triad, "SCAL"), map(number, fitted.scale), strict=True))
-        _check_accel(bias, fitted.scale)
     return values
 
 
-def _check_accel(offset: Floats, scale: Floats) -> None:
+def _check_accel(values: Values, names: Names) -> list[str]:
+    """Raise ValueError for what ArduPilot does not take, and remark on what it misunderstands."""
+    offset = vector(values, names.vector("accel", "OFFS"))
+    scale = vector(values, names.vector("accel", "SCAL"))
     if np.abs(offset).max() > LARGEST_OFFSET_M_S2:
         raise ValueError(
             f"accelerometer offsets {(np.round(offset, 3) + 0.0).tolist()} m/s^2: ArduPilot takes "
@@ -147,6 +159,9 @@ def _check_accel(offset: Floats, scale: Floats) -> None:
             f"accelerometer scales {np.round(scale, 4).tolist()}: ArduPilot takes {SCALES[0]} to "
             f"{SCALES[1]}; was the calibration made in m/s^2?"
         )
+    if not offset.any():
+        return ["ArduPilot takes offsets of exactly 0 for an accelerometer never calibrated"]
+    return []
 
 
 def _remarks(
@@ -161,7 +176,7 @@ def _remarks(
             f"the calibration has no thermal part: {names.tcal('ENABLE')} is set to 0, for the "
             "offsets hold without ArduPilot's"
         )
-    return (*remarks, *form_of.lag_remarks(calibration))
+    return (*remarks, *lag_remarks(calibration))
 
 
 def all_names(imu: int) -> list[str]:

@@ -35,7 +35,9 @@ Triad = Literal["gyro", "accel"]
 
 FIT_RATE_RAD_S: Final = math.radians(100.0)
 """Rate at which a gyro's scale, cross-axis and g-sensitivity count in a stated loss."""
-_STEPS: Final = 111
+OUTSIDE_WEIGHT: Final = 0.01
+"""Of temperatures at which the unit does not work: enough to keep the cubic in bounds there."""
+STEPS: Final = 111
 """Temperatures over the span: every degree of -40..70 degC."""
 _NIL: Final = 1e-11
 """What a power adds over the span below this is the rounding of the fit [unit]."""
@@ -78,26 +80,6 @@ class TriadForm:
 
 
 @dataclass(frozen=True, slots=True)
-class Loss:
-    """By how much an autopilot's form differs from our model over the span; [3] per body axis.
-
-    `unit` of all; `largest` and `rms` of all that differs, at every temperature and with inputs of
-    `size` in all directions. Parts of it, the largest each: `bias` what the cubic does not follow,
-    `scale` a scale factor that is not carried or changes with temperature, `cross` what other axes
-    add, `force` what the specific force adds to a gyro.
-    """
-
-    unit: str
-    size: float
-    largest: Floats
-    rms: Floats
-    bias: Floats
-    scale: Floats
-    cross: Floats
-    force: Floats
-
-
-@dataclass(frozen=True, slots=True)
 class Bench:
     """Inputs in all directions at temperatures over a span, and our sensor's output to them.
 
@@ -131,7 +113,7 @@ def bench(
     `below` is an autopilot's calibration that had worked on the output before `calibration` was
     made from it; `raw` is then that from before it, so that a form fitted replaces both.
     """
-    t = np.array([calibration.room_degc]) if span is None else np.linspace(*span, _STEPS)
+    t = np.array([calibration.room_degc]) if span is None else np.linspace(*span, STEPS)
     if triad == "accel":
         value = force = STANDARD_GRAVITY_M_S2 * _UNIT
     else:
@@ -161,14 +143,18 @@ def joint_span(*spans: tuple[float, float] | None) -> tuple[float, float] | None
     return low, high
 
 
-def fit(made: Bench, reference_degc: float, weights: Floats | None = None) -> TriadForm:
+def fit(
+    made: Bench, reference_degc: float, works_at: tuple[float, float] | None = None
+) -> TriadForm:
     """Return the form that explains the outputs best.
 
-    Least squares over all inputs and temperatures, each temperature of the span alike or by
-    `weights` [n of `made`]: per axis raw = value / scale + bias(T), the cubic taken in Legendre's
-    polynomials over the span; scale 1 for gyros.
+    Least squares over all inputs and temperatures: per axis raw = value / scale + bias(T), the
+    cubic taken in Legendre's polynomials over the span; scale 1 for gyros. Every temperature of
+    the span weighs alike, but those outside `works_at` [degC], where it is told, a hundredth.
     """
-    w = np.ones(len(made.raw)) if weights is None else np.sqrt(weights)
+    t = made.temperature_degc
+    is_outside = False if works_at is None else (t < works_at[0]) | (t > works_at[1])
+    w: Floats = np.where(np.broadcast_to(is_outside, t.shape), math.sqrt(OUTSIDE_WEIGHT), 1.0)
     low, high = made.span_degc or (reference_degc, reference_degc + 1.0)
     x = (2.0 * made.temperature_degc - low - high) / (high - low)
     columns = legendre.legvander(x, POWERS - 1 if made.span_degc else 0)
@@ -206,37 +192,14 @@ def _without_rounding(form: TriadForm) -> TriadForm:
     return TriadForm(form.scale, powers, form.reference_degc, form.span_degc)
 
 
-def loss(made: Bench, form: TriadForm) -> Loss:
-    """Return what `form` loses against the model that `made` comes from, in body axes."""
-    to_body = made.body_from_sensor.T
-    difference = (form.compensate(made.raw, made.temperature_degc) - made.value) @ to_body
-    count = len(np.unique(made.temperature_degc))
-    error = difference.reshape(count, -1, 3)
-    value = (made.value @ to_body).reshape(error.shape)
-    linear = _slopes(error, value)
-    diagonal = np.einsum("tii->ti", linear)
-    cross = np.sqrt(np.maximum((linear**2).sum(axis=2) - diagonal**2, 0.0))
-    force = np.zeros((count, 3))
-    if made.triad == "gyro":
-        slopes = _slopes(error, made.force.reshape(error.shape))
-        force = STANDARD_GRAVITY_M_S2 * np.linalg.norm(slopes, axis=2)
-    return Loss(
-        "m/s^2" if made.triad == "accel" else "rad/s",
-        made.size,
-        largest=np.abs(difference).max(axis=0),
-        rms=np.sqrt((difference**2).mean(axis=0)),
-        bias=np.abs(error.mean(axis=1)).max(axis=0),
-        scale=made.size * np.abs(diagonal).max(axis=0),
-        cross=made.size * cross.max(axis=0),
-        force=force.max(axis=0),
-    )
+def says_nothing(calibration: Calibration, triad: Triad, below: Mapping[Triad, TriadForm]) -> bool:
+    """Return whether an autopilot's own figures of a triad should stay as they are.
 
-
-def _slopes(error: Floats, value: Floats) -> Floats:
-    """Return d error / d value [t, 3, 3] of errors and inputs [t, n, 3] in all directions."""
-    products = np.einsum("tni,tnj->tij", error, value)
-    squares: Floats = (value**2).sum(axis=(1, 2)) / 3.0
-    return products / squares[:, None, None]
+    So where the calibration has none, and no drift that it was made on top of must be kept.
+    """
+    under = below.get(triad)
+    is_nil = bool(getattr(calibration, triad) == TriadCalibration())
+    return is_nil and (under is None or under.span_degc is None)
 
 
 def as_calibration(
@@ -281,22 +244,3 @@ def _moved(powers: Floats, step: float) -> Floats:
         for j in range(k + 1):
             moved[j] += math.comb(k, j) * power * step ** (k - j)
     return moved
-
-
-def lag_remarks(calibration: Calibration) -> tuple[str, ...]:
-    """Say what is lost where our model knows a lag of the thermometer: no autopilot does."""
-    remarks = []
-    for triad, unit in (("gyro", "deg/s"), ("accel", "m/s^2")):
-        made: TriadCalibration = getattr(calibration, triad)
-        if made.thermal_lag_s == 0.0 or made.span_degc is None:
-            continue
-        low, high = made.span_degc
-        t = np.linspace(low, high, _STEPS)
-        slope = float(np.abs(np.diff(made.c.at(t), axis=0)).max() / (t[1] - t[0]))
-        error = slope * abs(made.thermal_lag_s) / 60.0
-        error = math.degrees(error) if triad == "gyro" else error
-        remarks.append(
-            f"{triad}: the lag of {made.thermal_lag_s:.0f} s between sensor and thermometer is not "
-            f"carried; while it warms by 1 degC a minute that is up to {error:.2g} {unit}"
-        )
-    return tuple(remarks)

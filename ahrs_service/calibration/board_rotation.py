@@ -3,7 +3,8 @@
 Both count as MAV_SENSOR_ORIENTATION does. A rotation is given by roll, pitch, yaw: about the
 vehicle's x axis first, then y, then z. Source: ArduPilot libraries/AP_Math/rotations.h and
 tests/test_rotations.cpp (TestEulers); PX4 src/lib/conversion/rotation.h and
-src/lib/sensor_calibration/Utilities.cpp (SENS_BOARD_X_OFF and so on turn the board further).
+src/lib/sensor_calibration/Utilities.cpp (SENS_BOARD_X_OFF and so on turn the board further) and
+Accelerometer.cpp.
 """
 
 from collections.abc import Mapping
@@ -76,10 +77,16 @@ def body_from_sensor(orientation: int) -> Floats:
     return _matrix(*_EULER_DEG[orientation])
 
 
-def board_rotation(parameters: Mapping[str, float]) -> Floats:
-    """Return body_from_sensor [3, 3] by the parameters of either autopilot; identity without."""
+def board_rotation(parameters: Mapping[str, float], imu: int = 1) -> Floats:
+    """Return body_from_sensor [3, 3] of an IMU by either autopilot's parameters; else identity.
+
+    PX4 turns a sensor that is not on its board by CAL_ACCn_ROT, which is -1 for those that are.
+    """
     if "AHRS_ORIENTATION" in parameters:
         return body_from_sensor(int(parameters["AHRS_ORIENTATION"]))
+    own = int(parameters.get(f"CAL_ACC{imu - 1}_ROT", -1))
+    if own >= 0:
+        return body_from_sensor(own)
     fine = [parameters.get(f"SENS_BOARD_{axis}_OFF", 0.0) for axis in "XYZ"]
     rotation: Floats = _matrix(*fine) @ body_from_sensor(int(parameters.get("SENS_BOARD_ROT", 0)))
     return rotation

@@ -14,17 +14,11 @@ import numpy as np
 
 from ahrs_service.calibration import ardupilot_params, px4_params
 from ahrs_service.calibration.autopilot_form import Triad, TriadForm
-from ahrs_service.records import ImuSource
+from ahrs_service.records import IMU_OF_SOURCE, ImuSource
 
 PX4: Final = 12
 """MAV_AUTOPILOT_PX4."""
 
-_IMU_OF: Final = {
-    ImuSource.SCALED_IMU2: 2,
-    ImuSource.SCALED_IMU3: 3,
-    ImuSource.HIGHRES_IMU_1: 2,
-    ImuSource.HIGHRES_IMU_2: 3,
-}
 _HIGHRES: Final = (ImuSource.HIGHRES_IMU, ImuSource.HIGHRES_IMU_1, ImuSource.HIGHRES_IMU_2)
 _UNDO: Final = (
     "what is fitted comes on top of it: give the recording to `calibrate export` as "
@@ -34,7 +28,7 @@ _UNDO: Final = (
 
 def imu_of(source: ImuSource) -> int:
     """Return which of the autopilot's IMUs a source is, counted from 1."""
-    return _IMU_OF.get(source, 1)
+    return IMU_OF_SOURCE.get(source, 0) + 1
 
 
 def forms_in_force(parameters: Mapping[str, float], imu: int = 1) -> dict[Triad, TriadForm]:

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ahrs_service.calibration.autopilot_form import Loss, Triad
+from ahrs_service.calibration.autopilot_form import Triad
+from ahrs_service.calibration.autopilot_loss import Loss
 from ahrs_service.records import Floats
 
 Values = dict[str, float | int]

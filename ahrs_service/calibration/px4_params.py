@@ -20,6 +20,7 @@ import numpy as np
 
 from ahrs_service.calibration import autopilot_form as form_of
 from ahrs_service.calibration.autopilot_form import Triad, TriadForm
+from ahrs_service.calibration.autopilot_loss import lag_remarks, loss
 from ahrs_service.calibration.export import Export, Values, number, vector
 from ahrs_service.records import Floats
 from ahrs_service.sensor.parameters import Calibration
@@ -71,33 +72,35 @@ def to_px4(
     below: Mapping[Triad, TriadForm] | None = None,
     device_ids: Mapping[Triad, int] | None = None,
     reference_degc: float | None = None,
-    weights: Floats | None = None,
+    works_at: tuple[float, float] | None = None,
 ) -> Export:
     """Return the parameters of one IMU (1 is PX4's 0) nearest to `calibration`, and their loss.
 
     `body_from_sensor` [3, 3] by SENS_BOARD_ROT; `below` what the autopilot had done to the output
     before the calibration was made from it (`forms_of_px4`); `device_ids` of the sensors, without
     which PX4 does not know whose TC_* they are; TREF is `reference_degc`, room temperature unless
-    given, and X0 is 0 there; `weights` as autopilot_form.fit takes them.
+    given, and X0 is 0 there; `works_at` as autopilot_form.fit takes it. A triad that the
+    calibration says nothing of is left out.
     """
     turn = np.eye(3) if body_from_sensor is None else body_from_sensor
     reference = number(calibration.room_degc if reference_degc is None else reference_degc)
     values: Values = {}
     losses = {}
-    remarks = []
+    remarks = ["PX4 goes on adapting CAL_*OFF after flights unless SENS_IMU_AUTOCAL is 0"]
     for triad in _TC:
+        if form_of.says_nothing(calibration, triad, below or {}):
+            remarks.append(f"the calibration says nothing of the {triad}: it is left as it is")
+            continue
         under = (below or {}).get(triad)
         own = getattr(calibration, triad).span_degc
         span = form_of.joint_span(own, under.span_degc if under else None)
         bench = form_of.bench(calibration, triad, turn, under, span)
-        fitted = form_of.fit(bench, reference, weights)
+        fitted = form_of.fit(bench, reference, works_at)
         values |= _triad_values(triad, imu, fitted, (device_ids or {}).get(triad))
-        losses[triad] = form_of.loss(
-            bench, _form(values, triad, imu, None if span is None else imu)
-        )
+        losses[triad] = loss(bench, _form(values, triad, imu, None if span is None else imu))
         remarks += _remarks(triad, imu, span is not None, triad in (device_ids or {}))
     switches = tuple(name for name in map(enable, _TC) if name in values)
-    lag = form_of.lag_remarks(calibration)
+    lag = lag_remarks(calibration)
     return Export(values, losses, switches, (*remarks, *lag))
 
 
@@ -153,6 +156,7 @@ def known_ids(parameters: Mapping[str, float], imu: int = 1) -> dict[Triad, int]
 def all_names(imu: int) -> list[str]:
     """Return the names of all that calibrates an IMU, and of what turns the board."""
     names = ["SENS_BOARD_ROT", *(f"SENS_BOARD_{axis}_OFF" for axis in "XYZ")]
+    names.append(f"CAL_ACC{_index(imu)}_ROT")
     for triad in _TC:
         names += [enable(triad), device_id(triad, imu), *_cal(triad, imu, "OFF")]
         names += [tc_id(triad, n) for n in IMUS[:-1]]

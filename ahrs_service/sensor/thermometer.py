@@ -45,14 +45,16 @@ def read_thermometer(
     NaN where none is known. After a gap, or a time without, the temperature that comes then is
     taken for that of the whole time; a stamp before the last moves nothing.
     """
-    if math.isnan(reported_degc):
+    gyro_lag_s = coefficients["gyro"]["thermal_lag_s"]
+    accel_lag_s = coefficients["accel"]["thermal_lag_s"]
+    if (gyro_lag_s == 0.0 and accel_lag_s == 0.0) or math.isnan(reported_degc):
         return reported_degc, reported_degc
     dt_s = max((time_ns - state["thermometer_time_ns"]) * 1e-9, 0.0)
     state["thermometer_time_ns"] = time_ns
     memory = state["filtered_degc"]
     return (
-        _act(coefficients["gyro"]["thermal_lag_s"], memory, 0, reported_degc, dt_s),
-        _act(coefficients["accel"]["thermal_lag_s"], memory, 1, reported_degc, dt_s),
+        _act(gyro_lag_s, memory, 0, reported_degc, dt_s),
+        _act(accel_lag_s, memory, 1, reported_degc, dt_s),
     )
 
 

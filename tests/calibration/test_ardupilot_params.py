@@ -1,6 +1,7 @@
 """Against ArduPilot's own arithmetic, written down anew from its sources in 32-bit floats."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,6 +21,11 @@ from ahrs_service.sensor.parameters import Calibration, TriadCalibration, coeffi
 
 G = 9.80665
 F = np.float32
+
+
+GYRO_OFFSETS = {f"INS_GYROFFS_{axis}": 0.0 for axis in "XYZ"} | {
+    f"INS_TCAL1_GYR{k}_{axis}": 0.0 for k in (1, 2, 3) for axis in "XYZ"
+} | {"INS_GYR1_CALTEMP": 25.0}  # fmt: skip
 
 
 def clamp(value, low, high):
@@ -207,7 +213,10 @@ def test_a_calibration_made_on_top_of_ardupilot_s_replaces_both():
             **{f"INS_ACCSCAL_{a}": 1.02 for a in "XYZ"},
         }
     )
-    calibration = ramp(matrix=((1.01, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+    calibration = replace(
+        ramp(matrix=((1.01, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))),
+        gyro=TriadCalibration(bias=(0.002, 0.0, -0.001)),
+    )
     values = to_ardupilot(calibration, below=below).values
     rng = np.random.default_rng(3)
     for raw, temperature in zip(rng.uniform(-20, 20, (9, 3)), rng.uniform(-20, 70, 9), strict=True):
@@ -258,21 +267,39 @@ def test_gyro_terms_that_no_autopilot_has_are_counted_at_100_deg_s():
     assert loss.bias.max() < 1e-6
 
 
-def test_weights_move_the_fit_to_where_the_vehicle_is():
-    """A bend at 25 degC: with all the weight above, the cubic follows the line there."""
-    nodes = [(0.0,) * 3, (0.0,) * 3, (0.35, 0.0, 0.0)]
-    calibration = Calibration(
-        accel=TriadCalibration(c=Curve.linear((-10.0, 25.0, 60.0), np.array(nodes)))
-    )
-    from ahrs_service.calibration import autopilot_form as form_of
-
-    made = form_of.bench(calibration, "accel", np.eye(3), None, (-10.0, 60.0))
-    alike = form_of.fit(made, 35.0)
-    above = form_of.fit(made, 35.0, np.where(made.temperature_degc > 25.0, 1.0, 1e-6))
+def test_the_fit_is_best_where_the_unit_works():
+    """A bend at 25 degC: told that it works above, the cubic follows the line there."""
+    nodes = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.35, 0.0, 0.0]])
+    curve = Curve.linear((-10.0, 25.0, 60.0), nodes)
+    calibration = Calibration(accel=TriadCalibration(c=curve))
     hot = np.linspace(30.0, 60.0, 31)
-    line = 0.01 * (hot - 25.0)
-    assert np.abs(above.bias(hot)[:, 0] - line).max() < 2e-4
-    assert np.abs(alike.bias(hot)[:, 0] - line).max() > 2e-3
+    misses = []
+    for works_at in (None, (25.0, 60.0)):
+        values = to_ardupilot(calibration, works_at=works_at).values
+        bias = forms_of_ardupilot(values | GYRO_OFFSETS)["accel"].bias(hot)
+        misses.append(np.abs(bias[:, 0] - 0.01 * (hot - 25.0)).max())
+    assert misses[0] > 5e-3
+    assert misses[1] < 0.2 * misses[0]
+
+
+def test_what_the_calibration_does_not_know_stays_as_it_is():
+    """Of gyros alone: the accelerometer keeps its offsets, and has no drift."""
+    export = to_ardupilot(Calibration(gyro=ramp().accel))
+    assert not [n for n in export.values if ("OFFS" in n and "ACC" in n) or "SCAL" in n]
+    assert {v for n, v in export.values.items() if "_ACC" in n} == {0.0}
+    assert export.losses.keys() == {"gyro"}
+    assert "says nothing of the accel" in " ".join(export.remarks)
+    assert to_ardupilot(Calibration()).values == {"INS_TCAL1_ENABLE": 0}
+    plain = forms_of_ardupilot(to_ardupilot(ramp()).values | GYRO_OFFSETS | {"INS_TCAL1_ENABLE": 0})
+    assert not [n for n in to_ardupilot(Calibration(), below=plain).values if "OFFS" in n]
+    warm = forms_of_ardupilot(to_ardupilot(ramp()).values | GYRO_OFFSETS)
+    kept = to_ardupilot(Calibration(), below=warm).values
+    assert kept == to_ardupilot(ramp()).values | GYRO_OFFSETS
+
+
+def test_offsets_of_exactly_nothing_are_remarked_on():
+    accel = TriadCalibration(matrix=((1.01, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+    assert "never calibrated" in " ".join(to_ardupilot(Calibration(accel=accel)).remarks)
 
 
 def test_a_lag_of_the_thermometer_is_told_with_its_size():
@@ -319,6 +346,7 @@ def test_what_ardupilot_cannot_hold_is_refused(calibration, words):
     ],
 )
 def test_damaged_parameters_are_named(change, words):
-    values = {k: v for k, v in (to_ardupilot(ramp()).values | change).items() if v is not None}
+    made = to_ardupilot(ramp()).values | GYRO_OFFSETS | change
+    values = {name: value for name, value in made.items() if value is not None}
     with pytest.raises(ValueError, match=words):
         from_ardupilot(values)

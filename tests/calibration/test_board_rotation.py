@@ -51,6 +51,10 @@ def test_the_parameters_of_both_autopilots():
     turned = board_rotation({"SENS_BOARD_ROT": 4, "SENS_BOARD_X_OFF": 2.0, "SENS_BOARD_Z_OFF": 1.0})
     expected = about("YAW", 1.0) @ about("ROLL", 2.0) @ about("YAW", 180.0)
     np.testing.assert_allclose(turned, expected, atol=1e-12)
+    outside = board_rotation({"SENS_BOARD_ROT": 4, "CAL_ACC0_ROT": -1, "CAL_ACC1_ROT": 2}, 2)
+    np.testing.assert_array_equal(outside, body_from_sensor(2))
+    inside = board_rotation({"SENS_BOARD_ROT": 4, "CAL_ACC0_ROT": -1, "CAL_ACC1_ROT": 2})
+    np.testing.assert_array_equal(inside, body_from_sensor(4))
 
 
 @pytest.mark.parametrize("number", [-1, 44, 100, 101])

@@ -1,6 +1,7 @@
 """Against PX4's own arithmetic, written down anew from its sources in 32-bit floats."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -130,9 +131,14 @@ def test_a_line_and_a_gyro_that_temperature_leaves_alone():
     assert values["CAL_ACC1_XOFF"] == F(0.05)
     assert (values["TC_A1_TREF"], values["TC_A1_X1_0"]) == (25.0, F(0.002))
     assert values["TC_A1_X0_0"] == values["TC_A1_X2_0"] == 0.0
-    assert (values["TC_A1_ID"], values["TC_G1_ID"], values["TC_A_ENABLE"]) == (4259850, 0, 1)
+    assert (values["TC_A1_ID"], values["TC_A_ENABLE"]) == (4259850, 1)
     assert export.switches == ("TC_A_ENABLE",)
-    assert "TC_G_ENABLE" not in values
+    assert not [name for name in values if name.startswith(("TC_G", "CAL_GYRO"))]
+    assert "says nothing of the gyro" in " ".join(export.remarks)
+    plain = replace(ramp(), gyro=TriadCalibration(bias=(0.01, 0.0, 0.0)))
+    export = to_px4(plain, imu=2, device_ids=IDS)
+    assert (export.values["TC_G1_ID"], export.values["CAL_GYRO1_XOFF"]) == (0, F(0.01))
+    assert "TC_G_ENABLE" not in export.values
     assert "gyro calibration has no thermal part: TC_G1_ID is set to 0" in " ".join(export.remarks)
     assert all(len(name) <= 16 for name in values)
 

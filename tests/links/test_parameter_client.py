@@ -80,6 +80,17 @@ def test_a_name_that_the_autopilot_has_not_is_missing_from_what_is_read(live, tm
     run(scenario)
 
 
+def test_px4_says_that_it_has_no_such_name(live, tmp_path):
+    async def scenario():
+        async with conversation(live, tmp_path, autopilot=PX4) as (client, far):
+            assert await client.read(["TC_NOT_THERE"]) == {}
+            assert far.count("PARAM_REQUEST_READ") == 1
+            with pytest.raises(ParamError, match=r"TC_NOT_THERE: refused .* DOES_NOT_EXIST"):
+                await client.write("TC_NOT_THERE", ParamValue(1.0))
+
+    run(scenario)
+
+
 def test_lost_requests_and_lost_values_are_asked_for_again(live, tmp_path):
     """Of each name up to three answers are lost before one comes."""
     seen = Counter()

@@ -2,7 +2,10 @@
 
 import pytest
 
+from ahrs_service.calibration.ardupilot_params import from_ardupilot, to_ardupilot
+from ahrs_service.calibration.board_rotation import board_rotation
 from ahrs_service.calibration.double_compensation import already_compensated, forms_in_force
+from ahrs_service.calibration.px4_params import from_px4, to_px4
 from ahrs_service.records import ImuSource
 from links.recorded_parameters import read_recorded_parameters
 
@@ -29,6 +32,22 @@ def test_offsets_were_applied_and_temperature_was_not(shared, name):
     assert not any("compensated temperature" in text for text in told)
     assert bool(recorded.notes) is is_copy
     assert all(form.span_degc is None for form in forms_in_force(recorded.values).values())
+
+
+@pytest.mark.parametrize("name", list(KNOWN))
+def test_real_parameters_survive_import_and_export_to_the_last_bit(shared, name):
+    """Also where the board is turned: by ROLL_90 (the ROV), by 1.5 deg about x and y (the AUAV)."""
+    values = read_recorded_parameters(shared / "flights" / name).values
+    turn = board_rotation(values)
+    if "CAL_ACC0_ID" in values:
+        back = to_px4(from_px4(values, 1, turn), 1, turn).values
+        back = {name: value for name, value in back.items() if name.startswith("CAL_")}
+        assert len(back) == 9
+    else:
+        back = to_ardupilot(from_ardupilot(values, 1, turn), 1, turn).values
+        assert len(back) == 10
+    expected = {name: values.get(name, 0.0) for name in back}
+    assert back == expected
 
 
 def test_two_records_of_one_board_tell_the_same(shared):

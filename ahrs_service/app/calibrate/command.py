@@ -39,8 +39,9 @@ PROCEDURES: Final[dict[str, tuple[str, str]]] = {
     "export": ("ahrs_service.app.calibrate.export", "give a calibration to the autopilot"),
     "import": (
         "ahrs_service.app.calibrate.import_params",
-        "read a calibration from one",
+        "read one from an autopilot's parameters",
     ),
+    "show": ("ahrs_service.app.calibrate.show", "a calibration's figures, verdict and curves"),
 }
 """Name of a procedure: the module that runs it, and what it does in a line.
 

@@ -15,36 +15,32 @@ say with --compensated-by FILE (a .param file or the recording itself) which tha
 
 import argparse
 import asyncio
-import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from ahrs_service.app import calibration_file, config_file
 from ahrs_service.app.calibrate import parameter_change
+from ahrs_service.app.calibrate.conversion import exports_of, typed
+from ahrs_service.app.calibrate.loss_table import loss_table
 from ahrs_service.app.config_file import ConfigError
 from ahrs_service.calibration import ardupilot_params, px4_params
-from ahrs_service.calibration.autopilot_form import Loss, Triad
-from ahrs_service.calibration.board_rotation import board_rotation, body_from_sensor
-from ahrs_service.calibration.double_compensation import already_compensated, forms_in_force
+from ahrs_service.calibration.double_compensation import already_compensated
 from ahrs_service.calibration.export import Export
-from ahrs_service.records import Floats, ImuSource
+from ahrs_service.records import ImuSource
 from ahrs_service.sensor.parameters import Calibration
 from links.errors import ParamError
-from links.param_files import INT32, REAL32, ParamValue, read_param_file, write_param_file
+from links.param_files import read_param_file, write_param_file
 from links.parameter_client import ParameterClient
 from links.parameter_values import ARDUPILOT, PX4
-from links.recorded_parameters import read_recorded_parameters
 from links.signing import Signer, key_from_text
 
 AUTOPILOTS: Final = {"ardupilot": ARDUPILOT, "px4": PX4}
 FORMATS: Final = ("mission-planner", "qgroundcontrol")
 EXIT_DONE: Final = 0
-_UNITS: Final = {"m/s^2": (1.0, "m/s²"), "rad/s": (math.degrees(1.0), "°/s")}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,7 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "calibrations",
         nargs="*",
         metavar="[IMU=]FILE",
-        help="calibration file; which of the autopilot's IMUs it is for, counted from 1 (default)",
+        help="calibration file; which of the autopilot's IMUs it is for, counted from 1 (default: "
+        "as the file says, else 1)",
     )
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument("--param", type=Path, metavar="OUT", help="write a .param file")
@@ -82,6 +79,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DEGC",
         help="temperature of the offsets: CALTEMP or TREF (default: the calibration's room)",
     )
+    parser.add_argument(
+        "--works-at",
+        type=float,
+        nargs=2,
+        metavar=("LOW", "HIGH"),
+        help="degC: where the fit is to be good (default: over all of the calibrated span)",
+    )
     add_link_options(parser)
     parser.add_argument(
         "--restore", type=Path, metavar="BACKUP", help="write the values of this file instead"
@@ -93,6 +97,14 @@ def add_link_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--yes", action="store_true", help="write; without it only show")
     parser.add_argument(
         "--backup", type=Path, metavar="FILE", help="old values go here (default: by vehicle, time)"
+    )
+    add_identity_options(parser)
+
+
+def add_identity_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say whom to speak to, and with which key."""
+    parser.add_argument(
+        "--system", type=int, default=0, metavar="N", help="the autopilot's system (default: first)"
     )
     parser.add_argument("--config", metavar="FILE", help="settings with link.signing_key, as TOML")
 
@@ -118,61 +130,13 @@ def _calibration(text: str) -> tuple[int, Calibration]:
     """Return IMU number and calibration of `[IMU=]FILE`; refused ones do not leave the house."""
     number, separator, name = text.partition("=")
     if not (separator and number.isdigit()):
-        number, name = "1", text
+        number, name = "", text
     calibration = calibration_file.load(name)
     if not calibration.verdict.usable:
         raise ParamError(
             f"{name}: not exported, for its verdict is: {'; '.join(calibration.verdict.sentences)}"
         )
-    return int(number), calibration
-
-
-def parameters_of(path: Path) -> dict[str, float]:
-    """Return the parameters in a .param file or a recording."""
-    if path.suffix.lower() in (".tlog", ".bin", ".ulg"):
-        recorded = read_recorded_parameters(path)
-        if not recorded.values:
-            raise ParamError(f"{path}: carries no parameters; give the autopilot's .param file")
-        return recorded.values
-    return parameter_change.values_of(read_param_file(path))
-
-
-def rotation_of(orientation: int | None, parameters: Mapping[str, float]) -> Floats:
-    """Return body_from_sensor [3, 3] by option, else by the autopilot's parameters."""
-    try:
-        if orientation is not None:
-            return body_from_sensor(orientation)
-        return board_rotation(parameters)
-    except ValueError as error:
-        raise ConfigError(f"--orientation: {error}") from None
-
-
-def _exports(
-    args: argparse.Namespace,
-    calibrations: Mapping[int, Calibration],
-    autopilot: int,
-    current: Mapping[str, float],
-) -> dict[int, Export]:
-    """Return the parameters of each IMU; `current` those of the autopilot, as far as known."""
-    under = {} if args.compensated_by is None else parameters_of(args.compensated_by)
-    known = {**under, **current}
-    turn = rotation_of(args.orientation, known)
-    exports = {}
-    for imu, calibration in calibrations.items():
-        try:
-            below = forms_in_force(under, imu) if under else None
-            if autopilot == PX4:
-                ids = px4_params.known_ids(known, imu)
-                export = px4_params.to_px4(calibration, imu, turn, below, ids, args.offsets_at)
-                px4_params.check_slots({**current, **export.values}, imu)
-            else:
-                export = ardupilot_params.to_ardupilot(
-                    calibration, imu, turn, below, args.offsets_at
-                )
-        except ValueError as error:
-            raise ParamError(f"IMU {imu}: {error}") from None
-        exports[imu] = export
-    return exports
+    return int(number or (calibration.imu or 0) + 1), calibration
 
 
 def _to_file(
@@ -181,7 +145,7 @@ def _to_file(
     if args.autopilot is None:
         raise ConfigError("--param needs --autopilot ardupilot or px4")
     autopilot = AUTOPILOTS[args.autopilot]
-    exports = _exports(args, calibrations, autopilot, {})
+    exports = exports_of(args, calibrations, autopilot, {}, speaker(out))
     values = {name: typed(v) for e in exports.values() for name, v in e.values.items()}
     comments = [
         f"IMU {imu}: {calibrations[imu].serial or 'unit without serial number'}" for imu in exports
@@ -196,19 +160,13 @@ def _to_file(
     out.print(f"{len(values)} parameters written to {escape(str(args.param))}", highlight=False)
 
 
-def typed(value: float | int) -> ParamValue:
-    """Return a parameter as a file holds it."""
-    return ParamValue(float(value), INT32 if isinstance(value, int) else REAL32)
-
-
 async def _over_link(
     args: argparse.Namespace, calibrations: Mapping[int, Calibration], out: Console
 ) -> None:
-    def say(text: str) -> None:
-        out.print(escape(text), highlight=False, soft_wrap=True)
-
-    async with ParameterClient(args.link, say, signer_of(args.config)) as client:
+    say = speaker(out)
+    async with ParameterClient(args.link, say, signer_of(args.config), args.system) as client:
         say(f"{client.vehicle} heard")
+        await _check_unit(client, calibrations)
         if args.restore is not None:
             wanted: dict[str, float] = parameter_change.values_of(read_param_file(args.restore))
         else:
@@ -223,6 +181,17 @@ async def _over_link(
         _conclude(args, changes, say)
 
 
+async def _check_unit(client: ParameterClient, calibrations: Mapping[int, Calibration]) -> None:
+    """Refuse calibrations of another board; one that does not tell its number is believed."""
+    uids = {calibration.uid for calibration in calibrations.values()} - {""}
+    unit = await client.unit() if uids else ""
+    if unit and uids - {unit}:
+        raise ParamError(
+            f"the calibration is of the board {', '.join(sorted(uids - {unit}))}, at the link is "
+            f"{unit}: give that unit's file, or take uid out of this one if it is right"
+        )
+
+
 async def _converted(
     client: ParameterClient,
     args: argparse.Namespace,
@@ -233,7 +202,7 @@ async def _converted(
     current: dict[str, float] = {}
     for imu in calibrations:
         current |= await calibration_parameters(client, imu)
-    exports = _exports(args, calibrations, client.autopilot, current)
+    exports = exports_of(args, calibrations, client.autopilot, current, speaker(out))
     _show(exports, out)
     if args.compensated_by is None:
         _warn(current, calibrations, client.autopilot, out)
@@ -288,23 +257,9 @@ def _show(exports: Mapping[int, Export], out: Console) -> None:
             out.print(f"[yellow]note:[/] {escape(remark)}", highlight=False, soft_wrap=True)
 
 
-def loss_table(imu: int, losses: Mapping[Triad, Loss]) -> Table:
-    """Return what the autopilot's form loses: per body axis, all of it and by its cause."""
-    table = Table(
-        title=f"IMU {imu}: what the autopilot's form of calibration loses",
-        caption="largest over the span and all directions of 1 g and 100 °/s; bias: not a cubic",
-        title_justify="left",
-        caption_justify="left",
-    )
-    for column in ("", "largest", "rms", "bias", "scale", "cross-axis", "by force", ""):
-        table.add_column(column, justify="right" if column else "left")
-    for triad, loss in losses.items():
-        factor, unit = _UNITS[loss.unit]
-        parts = (loss.largest, loss.rms, loss.bias, loss.scale, loss.cross, loss.force)
-        for axis in range(3):
-            figures = [f"{factor * part[axis]:.4f}" for part in parts]
-            table.add_row(f"{triad} {'xyz'[axis]}", *figures, unit)
-    return table
+def speaker(out: Console) -> Callable[[str], None]:
+    """Return what prints a sentence as it is."""
+    return lambda text: out.print(escape(text), highlight=False, soft_wrap=True)
 
 
 def signer_of(config: str | None) -> Signer | None:

@@ -15,23 +15,28 @@ import datetime
 import hashlib
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 from rich.console import Console
 from rich.markup import escape
 
 from ahrs_service.app import calibration_file
+from ahrs_service.app.calibrate.conversion import parameters_of, rotation_of
 from ahrs_service.app.calibrate.export import (
     EXIT_DONE,
+    add_identity_options,
     calibration_parameters,
-    parameters_of,
-    rotation_of,
     signer_of,
+    speaker,
 )
 from ahrs_service.calibration import ardupilot_params, px4_params
 from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.sensor.provenance import Provenance, SourceRecording
 from links.errors import ParamError
 from links.parameter_client import ParameterClient
+
+_TOLD_APART: Final = 3
+"""How many IMUs have messages of their own."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--orientation", type=int, metavar="N", help="how the board is turned (default: as told)"
     )
-    parser.add_argument("--config", metavar="FILE", help="settings with link.signing_key, as TOML")
+    add_identity_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -56,16 +61,19 @@ def run(args: argparse.Namespace) -> int:
     provenance = Provenance(
         date=datetime.datetime.now(datetime.UTC).date().isoformat(), procedures=("import",)
     )
+    unit = ""
     if args.link is not None:
-        parameters, origin = asyncio.run(_over_link(args, out))
+        parameters, origin, unit = asyncio.run(_over_link(args, out))
     else:
-        parameters, origin = parameters_of(args.source), args.source.name
+        parameters, origin = parameters_of(args.source, speaker(out)), args.source.name
         digest = hashlib.sha256(args.source.read_bytes()).hexdigest()
         recording = SourceRecording(args.source.name, digest, "parameters")
         provenance = replace(provenance, recordings=(recording,))
     calibration = replace(
         _calibration(args, parameters, origin),
         serial=args.serial,
+        uid=unit,
+        imu=args.imu - 1 if args.imu <= _TOLD_APART else None,
         source=f"parameters of IMU {args.imu} in {origin}",
         provenance=provenance,
     )
@@ -77,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
 def _calibration(
     args: argparse.Namespace, parameters: dict[str, float], origin: str
 ) -> Calibration:
-    turn = rotation_of(args.orientation, parameters)
+    turn = rotation_of(args.orientation, parameters, args.imu)
     try:
         if any(name.startswith("INS") for name in parameters):
             return ardupilot_params.from_ardupilot(parameters, args.imu, turn)
@@ -86,12 +94,13 @@ def _calibration(
         raise ParamError(f"{origin}: {error}") from None
 
 
-async def _over_link(args: argparse.Namespace, out: Console) -> tuple[dict[str, float], str]:
-    def say(text: str) -> None:
-        out.print(escape(text), highlight=False, soft_wrap=True)
-
-    async with ParameterClient(args.link, say, signer_of(args.config)) as client:
-        return await calibration_parameters(client, args.imu), client.vehicle
+async def _over_link(args: argparse.Namespace, out: Console) -> tuple[dict[str, float], str, str]:
+    """Return the parameters, what told them, and the number of its board."""
+    async with ParameterClient(
+        args.link, speaker(out), signer_of(args.config), args.system
+    ) as client:
+        parameters = await calibration_parameters(client, args.imu)
+        return parameters, client.vehicle, await client.unit()
 
 
 def _tell(calibration: Calibration, path: Path, out: Console) -> None:

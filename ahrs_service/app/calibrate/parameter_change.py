@@ -56,8 +56,14 @@ def default_backup(client: ParameterClient) -> Path:
 
 
 async def plan(client: ParameterClient, wanted: Mapping[str, float]) -> list[Change]:
-    """Read the values that are to change; ParamError names those that the autopilot has not."""
+    """Read the values that are to change.
+
+    ParamError names those that the autopilot has not, or autopilots between which none was chosen.
+    """
     old = await client.read(wanted)
+    if client.others and not client.is_chosen:
+        heard = ", ".join(map(str, sorted({client.system, *client.others})))
+        raise ParamError(f"autopilots of systems {heard} are on this link: say --system N")
     missing = [name for name in wanted if name not in old]
     if missing:
         raise ParamError(
@@ -88,9 +94,9 @@ async def carry_out(
         await _write_all(client, changes)
         await _read_all_back(client, changes)
     except LinkError as error:
-        raise ParamError(f"{error}. {_how_far(changes, backup)}") from None
+        raise ParamError(f"{error}. {_how_far(client, changes, backup)}") from None
     except asyncio.CancelledError:
-        say(f"interrupted. {_how_far(changes, backup)}")
+        say(f"interrupted. {_how_far(client, changes, backup)}")
         raise
 
 
@@ -127,7 +133,7 @@ async def _read_all_back(client: ParameterClient, changes: list[Change]) -> None
         raise ParamError(f"{_listed(wrong)} read back otherwise than written")
 
 
-def _how_far(changes: list[Change], backup: Path) -> str:
+def _how_far(client: ParameterClient, changes: list[Change], backup: Path) -> str:
     touched = [change.name for change in changes if change.is_touched]
     if not touched:
         return "Nothing was written"
@@ -135,7 +141,7 @@ def _how_far(changes: list[Change], backup: Path) -> str:
     state = f"; {_listed(off)} may be off" if off else ""
     return (
         f"Written so far: {_listed(touched)}{state}. Put the old values back with: ahrs-service "
-        f"calibrate export --restore {backup} --link URI --yes"
+        f"calibrate export --restore {backup} --link {client.uri} --yes"
     )
 
 
