@@ -68,6 +68,16 @@ def check_force_unit(force_m_s2: Floats) -> None:
     )
 
 
+def check_stream_unit(columns: ImuColumns) -> None:
+    """Raise CalibrationError where the force is in another unit, before anything was seen still.
+
+    In motion the norm is no gravity, but not half or twice of it for most of the time.
+    """
+    norm = np.linalg.norm(columns.accel_m_s2, axis=1)
+    if not 0.5 < float(np.median(norm)) / STANDARD_GRAVITY_M_S2 < 2.0:
+        check_force_unit(columns.accel_m_s2)
+
+
 def check_temperature(temperature_degc: Floats, least_span_k: float = 0.0) -> None:
     """Raise CalibrationError where temperatures [N] are missing or span less than is needed."""
     known = temperature_degc[np.isfinite(temperature_degc)]

@@ -140,11 +140,12 @@ def _turns(
     refusals = []
     for k in range(len(poses) - 1):
         try:
-            turns, _ = find_turns(columns, poses[k : k + 2], ideal(), unit_deg)
+            turns = find_turns(columns, poses[k : k + 2], ideal(), unit_deg)
         except CalibrationError as error:
             refusals.append(Refusal(float(poses["start_s"][k + 1]), str(error)))
             continue
-        for turn in turns:
+        refusals += [Refusal(float(poses["start_s"][k + 1]), why) for why in turns.left_out]
+        for turn in turns.truth:
             count["xyz"[int(np.argmax(np.abs(turn)))]] += 1
     return count, refusals
 
@@ -162,13 +163,13 @@ def _refused(columns: ImuColumns, poses: Rows) -> list[Refusal]:
         begin_s = float(columns.time_s[first * windows.length])
         end_s = float(columns.time_s[last * windows.length - 1])
         is_pose = (poses["start_s"] < end_s) & (poses["stop_s"] > begin_s)
-        if is_pose.any() or last == len(held) or (last - first) * length_s < 0.5 * _HELD_S:
+        if is_pose.any() or last == len(held) or last - first < 2:
             continue
         still = windows.is_still[first:last]
         if still.sum() >= 2:
             why = f"at rest for {still.sum() * length_s:.1f} s only: give it {limits.least_s:g} s"
             refusals.append(Refusal(end_s, why))
-        elif (last - first) * length_s >= _HELD_S:
+        elif (last - first + 0.5) * length_s >= _HELD_S:
             scatter = math.degrees(float(np.median(windows.gyro_scatter[first:last].max(axis=1))))
             why = f"trembles by {scatter:.1f} deg/s: put it on something solid and let go"
             refusals.append(Refusal(end_s, why))

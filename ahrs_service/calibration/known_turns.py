@@ -6,6 +6,7 @@ rates in its place). Full circles need no protractor: an edge to come back to wi
 """
 
 import math
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -30,17 +31,24 @@ _LEAST_ALONG: Final = 0.9
 _LEAST_TURNS: Final = 4
 
 
-def find_turns(
-    columns: ImuColumns, poses: Rows, accel: TriadFit, unit_deg: float
-) -> tuple[Floats, Floats]:
-    """Return true and measured rotation vectors [M, 3] [rad] of the turns about the vertical.
+@dataclass(frozen=True, slots=True)
+class Turns:
+    """True and measured rotation vectors [M, 3] [rad], and why other turns were left out."""
 
-    The true angle is the multiple of `unit_deg` next to the measured one. CalibrationError where
-    that is a tenth off, and where the gyros see another axis turn than the accelerometers.
+    truth: Floats
+    measured: Floats
+    left_out: tuple[str, ...] = ()
+
+
+def find_turns(columns: ImuColumns, poses: Rows, accel: TriadFit, unit_deg: float) -> Turns:
+    """Return the turns about the vertical between one pose and the next.
+
+    The true angle is the multiple of `unit_deg` next to the measured one; a turn by another angle
+    is left out. CalibrationError where the gyros see another axis turn than the accelerometers.
     """
     bias, _ = rest_bias(poses)
     up = directions(accel.compensate(poses["accel_m_s2"]))
-    truth, measured = [], []
+    truth, measured, left_out = [], [], []
     for k in range(len(poses) - 1):
         if up[k] @ up[k + 1] < math.cos(_SAME_FACE_RAD):
             continue
@@ -48,9 +56,21 @@ def find_turns(
         turned = _sum_up(columns, int(poses["last"][k]) - 1, int(poses["first"][k + 1]) + 1, bias)
         if np.linalg.norm(turned) < _LEAST_RAD:
             continue
-        truth.append(_true_angle(turned, axis, unit_deg, float(poses["stop_s"][k])) * axis)
+        begin_s = float(poses["stop_s"][k])
+        _check_axis(turned, axis, begin_s)
+        angle = float(turned @ axis)
+        turns = round(math.degrees(angle) / unit_deg)
+        true = turns * math.radians(unit_deg)
+        if turns == 0 or abs(angle / true - 1.0) > _LARGEST_MISS:
+            left_out.append(
+                f"turn at {begin_s:.0f} s: the gyro shows {math.degrees(angle):.0f} deg, which is "
+                f"no multiple of {unit_deg:g} deg, so it does not count: turn back to the same "
+                "edge exactly, or say by how much you turn with --turn"
+            )
+            continue
+        truth.append(true * axis)
         measured.append(turned)
-    return np.reshape(truth, (-1, 3)), np.reshape(measured, (-1, 3))
+    return Turns(np.reshape(truth, (-1, 3)), np.reshape(measured, (-1, 3)), tuple(left_out))
 
 
 def _sum_up(columns: ImuColumns, first: int, last: int, bias: Floats) -> Floats:
@@ -61,31 +81,22 @@ def _sum_up(columns: ImuColumns, first: int, last: int, bias: Floats) -> Floats:
     return total
 
 
-def _true_angle(turned: Floats, axis: Floats, unit_deg: float, begin_s: float) -> float:
-    angle = float(turned @ axis)
-    if abs(angle) < _LEAST_ALONG * float(np.linalg.norm(turned)):
+def _check_axis(turned: Floats, axis: Floats, begin_s: float) -> None:
+    if abs(float(turned @ axis)) < _LEAST_ALONG * float(np.linalg.norm(turned)):
         seen, real = AXES[int(np.argmax(np.abs(turned)))], AXES[int(np.argmax(np.abs(axis)))]
         raise CalibrationError(
             f"turn at {begin_s:.0f} s: {real} was vertical by the accelerometer, but the gyro "
             f"turned about {seen} most: an axis is swapped, or the unit was tilted on the way; "
             "turn it flat on the table"
         )
-    unit = math.radians(unit_deg)
-    turns = round(angle / unit)
-    if turns == 0 or abs(angle / (turns * unit) - 1.0) > _LARGEST_MISS:
-        raise CalibrationError(
-            f"turn at {begin_s:.0f} s: the gyro shows {math.degrees(angle):.0f} deg, which is no "
-            f"multiple of {unit_deg:g} deg: turn back to the same edge exactly, or say by how much "
-            "you turn with --turn"
-        )
-    return turns * unit
 
 
-def fit_gyro(poses: Rows, truth: Floats, measured: Floats) -> TriadFit:
+def fit_gyro(poses: Rows, turns: Turns) -> TriadFit:
     """Return K and B of the gyros from the turns of `find_turns`; B is the mean at rest.
 
     CalibrationError where the turns are too few or not about three axes.
     """
+    truth, measured = turns.truth, turns.measured
     if len(truth) < _LEAST_TURNS or np.linalg.matrix_rank(truth, tol=_LEAST_RAD) < 3:
         raise CalibrationError(
             f"{len(truth)} turns about the vertical: the gyros need {_LEAST_TURNS} or more, with "
@@ -99,8 +110,9 @@ def fit_gyro(poses: Rows, truth: Floats, measured: Floats) -> TriadFit:
     return gyro
 
 
-def judge_gyro(poses: Rows, truth: Floats, measured: Floats, fit: TriadFit) -> TriadVerdict:
+def judge_gyro(poses: Rows, turns: Turns, fit: TriadFit) -> TriadVerdict:
     """Return the figures of the fit, in rad per turn; each turn is foretold by the others."""
+    truth, measured = turns.truth, turns.measured
     held_out = np.empty_like(truth)
     for k in range(len(truth)):
         rest = np.arange(len(truth)) != k

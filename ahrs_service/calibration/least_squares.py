@@ -12,6 +12,7 @@ from ahrs_service.records import Floats
 _STEPS: Final = 60
 _HALVINGS: Final = 12
 _TOLERANCE: Final = 1e-10
+_LARGEST_CONDITION: Final = 1e6
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,7 @@ class Fit:
 
 def linear_fit(design: Floats, observed: Floats) -> Fit:
     """Return the least-squares solution p of design [M, P] p = observed [M]."""
-    parameters = np.asarray(np.linalg.lstsq(design, observed, rcond=None)[0], np.float64)
+    parameters = _solved(design, observed)
     return _fit(parameters, design @ parameters - observed, design)
 
 
@@ -49,7 +50,7 @@ def gauss_newton(evaluate: Callable[[Floats], tuple[Floats, Floats]], start: Flo
     parameters = np.array(start, np.float64)
     residuals, jacobian = evaluate(parameters)
     for _ in range(_STEPS):
-        step = np.linalg.lstsq(jacobian, -residuals, rcond=None)[0]
+        step = _solved(jacobian, -residuals)
         share, cost = 1.0, residuals @ residuals
         for _ in range(_HALVINGS):
             there, slopes = evaluate(parameters + share * step)
@@ -70,17 +71,39 @@ def gauss_newton(evaluate: Callable[[Floats], tuple[Floats, Floats]], start: Flo
     )
 
 
+def _normal(design: Floats) -> tuple[Floats, Floats]:
+    """Return the normal matrix [P, P] of a design with columns of length 1, and their lengths."""
+    lengths = np.linalg.norm(design, axis=0)
+    lengths[lengths == 0.0] = 1.0
+    scaled = design / lengths
+    return scaled.T @ scaled, lengths
+
+
+def _solved(design: Floats, observed: Floats) -> Floats:
+    """Return the least-squares solution by the normal equations of scaled columns.
+
+    Long recordings have few parameters: a decomposition of all their rows would cost ten times as
+    much. Directions that the data do not determine stay at zero.
+    """
+    normal, lengths = _normal(design)
+    right = design.T @ observed / lengths
+    solution = np.linalg.lstsq(normal, right, rcond=1.0 / _LARGEST_CONDITION**2)[0]
+    # One step of refinement takes out what the squared condition costs in digits.
+    right = design.T @ (observed - design @ (solution / lengths)) / lengths
+    solution = solution + np.linalg.lstsq(normal, right, rcond=1.0 / _LARGEST_CONDITION**2)[0]
+    return np.asarray(solution / lengths, np.float64)
+
+
 def _fit(parameters: Floats, residuals: Floats, jacobian: Floats) -> Fit:
     rows, columns = jacobian.shape
-    lengths = np.linalg.norm(jacobian, axis=0)
     covariance: Floats = np.full((columns, columns), np.inf)
     spare = rows - columns
     sigma = float(np.sqrt(residuals @ residuals / spare)) if spare > 0 else np.inf
-    if not (lengths > 0.0).all():
+    normal, lengths = _normal(jacobian)
+    values = np.linalg.eigvalsh(normal)
+    condition = float(np.sqrt(values[-1] / values[0])) if values[0] > 0.0 else np.inf
+    if condition > _LARGEST_CONDITION:
         return Fit(parameters, covariance, residuals, sigma, np.inf)
-    scaled = jacobian / lengths
-    condition = float(np.linalg.cond(scaled))
-    if np.isfinite(sigma) and condition < 1e12:
-        inverse = np.linalg.inv(scaled.T @ scaled)
-        covariance = sigma**2 * inverse / np.outer(lengths, lengths)
+    if np.isfinite(sigma):
+        covariance = sigma**2 * np.linalg.inv(normal) / np.outer(lengths, lengths)
     return Fit(parameters, covariance, residuals, sigma, condition)

@@ -6,6 +6,7 @@ and how late each recording is against its encoder, all at once; a lag left in w
 error of attitude that follows the rate (Liu et al., sec. 5: 2.6 deg at 200 deg/s are 13 ms).
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
@@ -81,10 +82,13 @@ def plateaus(
         mean = windows.gyro[first + 1 : last - 1].mean(axis=0)
         along = float(mean @ unit)
         rate = float(known[np.argmin(np.abs(known - along))])
-        if abs(along - rate) > max(_LARGEST_MISS * abs(rate), _LEAST_RATE_RAD_S):
+        miss = float(np.linalg.norm(mean - rate * unit))
+        if miss > max(_LARGEST_MISS * abs(rate), _LEAST_RATE_RAD_S):
+            given = ", ".join(f"{r:g}" for r in np.degrees(known))
+            size = math.degrees(float(np.linalg.norm(mean)))
             raise CalibrationError(
-                f"a steady rate of {np.degrees(along):.1f} deg/s about the table's axis is none of "
-                f"those given ({', '.join(f'{r:g}' for r in np.degrees(known))} deg/s): check the "
+                f"a steady turn of {size:.1f} deg/s, {math.degrees(along):.1f} deg/s of it about "
+                f"the table's axis, is none of those given ({given} deg/s): check the "
                 "axis, its sign, and the rates"
             )
         truth.append(rate * unit)

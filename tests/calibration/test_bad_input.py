@@ -124,14 +124,16 @@ def test_a_turn_about_another_axis_than_the_vertical_is_told(bench):
 def test_a_turn_that_is_no_multiple_is_told(bench):
     columns, _ = bench("six-position", 100.0)
     poses = find_poses(columns)
-    with pytest.raises(CalibrationError, match="deg, which is no multiple of 100 deg: turn"):
-        known_turns.find_turns(columns, poses, ideal(), 100.0)
+    turns = known_turns.find_turns(columns, poses, ideal(), 250.0)
+    assert len(turns.truth) == 0
+    assert len(turns.left_out) == 6
+    assert "deg, which is no multiple of 250 deg, so it does not count" in turns.left_out[0]
 
 
 def test_turns_about_one_axis_are_not_enough():
     about_z = 2 * math.pi * np.array([[0, 0, 1.0], [0, 0, -1.0]] * 3)
     with pytest.raises(CalibrationError, match="each of the unit's three axes vertical in turn"):
-        known_turns.fit_gyro(poses_of(G * FACES), about_z, about_z)
+        known_turns.fit_gyro(poses_of(G * FACES), known_turns.Turns(about_z, about_z))
 
 
 @pytest.mark.parametrize("order", [[1, 0, 2], [2, 1, 0], [1, 2, 0]])

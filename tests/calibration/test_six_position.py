@@ -75,16 +75,17 @@ def test_full_circles_give_the_gyros(bench):
     columns, flight = bench("six-position", 120.0)
     poses = find_poses(columns)
     accel = fit_accelerometer(poses)
-    turns, measured = known_turns.find_turns(columns, poses, accel, 360.0)
-    assert len(turns) == 6
-    assert np.linalg.norm(turns, axis=1) == pytest.approx(2 * math.pi)
-    gyro = known_turns.fit_gyro(poses, turns, measured)
+    turns = known_turns.find_turns(columns, poses, accel, 360.0)
+    assert len(turns.truth) == 6
+    assert np.linalg.norm(turns.truth, axis=1) == pytest.approx(2 * math.pi)
+    assert turns.left_out == ()
+    gyro = known_turns.fit_gyro(poses, turns)
     truth = flight.calibration.gyro
     error = (gyro.matrix - truth.matrix).ravel()
     assert error @ np.linalg.solve(gyro.covariance[:9, :9], error) < chi2.ppf(0.999, 9) * 3
     assert np.abs(error).max() < 5e-4
     assert gyro.bias == pytest.approx(truth.bias, abs=1e-4)
-    triad = known_turns.judge_gyro(poses, turns, measured, gyro)
+    triad = known_turns.judge_gyro(poses, turns, gyro)
     assert triad.gain > 0.7
 
 

@@ -30,7 +30,7 @@ from ahrs_service.calibration.allan import (
     fit_coefficients,
     overlapping_deviation,
 )
-from ahrs_service.calibration.columns import AXES, ImuColumns
+from ahrs_service.calibration.columns import AXES, ImuColumns, check_stream_unit
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.poses import Stillness, find_poses, resolution
 from ahrs_service.records import Floats
@@ -77,6 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def longest_still(columns: ImuColumns) -> ImuColumns:
     """Return the longest still part; CalibrationError where there is none of 100 samples."""
+    check_stream_unit(columns)
     poses = find_poses(columns, _NOISE)
     if not len(poses):
         raise CalibrationError(

@@ -64,7 +64,9 @@ def finish(
         written = str(arguments.out)
         console.print(f"wrote {escape(written)}", highlight=False, soft_wrap=True)
     elif arguments.out is not None:
-        console.print(f"{escape(str(arguments.out))} was not written", style="bold red")
+        console.print(
+            f"{escape(str(arguments.out))} was not written", style="bold red", soft_wrap=True
+        )
     if arguments.json:
         print(json.dumps(_plain(verdict, fits, captures, written)))
     return EXIT_REFUSED if verdict.is_refused else EXIT_DONE

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.app.calibrate.capture import Capture, check_rate, joined
-from ahrs_service.calibration.columns import ImuColumns, check_saturation
+from ahrs_service.calibration.columns import ImuColumns, check_saturation, check_stream_unit
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.poses import check_clipped_poses, find_poses, span_of
 from ahrs_service.calibration.verdict import Finding, Level
@@ -24,6 +24,7 @@ def still_poses(captures: list[Capture]) -> tuple[ImuColumns, Rows]:
     for capture in captures:
         check_rate(capture, LEAST_HZ, "telling rest from motion")
     columns = joined(captures)
+    check_stream_unit(columns)
     check_saturation(columns)
     poses = find_poses(columns)
     if not len(poses):

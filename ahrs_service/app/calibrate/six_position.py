@@ -19,12 +19,9 @@ from functools import partial
 from ahrs_service.app.calibrate import capture, outcome, poses, session
 from ahrs_service.app.options import positive
 from ahrs_service.calibration import known_turns
-from ahrs_service.calibration.columns import ImuColumns
 from ahrs_service.calibration.guide import guide_six_position
 from ahrs_service.calibration.six_position import fit_accelerometer, judge_accelerometer
-from ahrs_service.calibration.triad import TriadFit
-from ahrs_service.calibration.verdict import Finding, Level, TriadVerdict, judge
-from ahrs_service.records import Rows
+from ahrs_service.calibration.verdict import Finding, Level, judge
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,29 +56,17 @@ def calibrate(captures: list[capture.Capture], arguments: argparse.Namespace) ->
     fits, triads = {"accel": accel}, [judge_accelerometer(found, accel, gravity)]
     remarks = list(poses.remarks(captures, found))
     if not arguments.no_turns:
-        gyro, verdict = _gyro(columns, found, accel, captures, arguments.turn)
-        if gyro is None:
+        turns = known_turns.find_turns(columns, found, accel, arguments.turn)
+        if turns.left_out:
+            more = f" (one of {len(turns.left_out)} such turns)" if turns.left_out[1:] else ""
+            remarks.append(Finding(Level.WARNING, f"{turns.left_out[0]}{more}"))
+        if len(turns.truth):
+            for one in captures:
+                capture.check_rate(one, poses.LEAST_TURN_HZ, "summing up a turn")
+            fits["gyro"] = known_turns.fit_gyro(found, turns)
+            triads.append(known_turns.judge_gyro(found, turns, fits["gyro"]))
+        else:
             text = "the gyros are not calibrated: no turn flat on the table is in the recording"
             remarks.append(Finding(Level.NOTE, text))
-        else:
-            fits["gyro"] = gyro
-            triads += verdict
-    verdict_of_all = judge("six-position", tuple(triads), tuple(remarks))
-    return outcome.finish(verdict_of_all, fits, captures, arguments, poses.temperature_of(found))
-
-
-def _gyro(
-    columns: ImuColumns,
-    found: Rows,
-    accel: TriadFit,
-    captures: list[capture.Capture],
-    turn_deg: float,
-) -> tuple[TriadFit | None, list[TriadVerdict]]:
-    """Return the gyros' fit and verdict, or None where nobody turned the unit."""
-    turns, measured = known_turns.find_turns(columns, found, accel, turn_deg)
-    if not len(turns):
-        return None, []
-    for one in captures:
-        capture.check_rate(one, poses.LEAST_TURN_HZ, "summing up a turn")
-    gyro = known_turns.fit_gyro(found, turns, measured)
-    return gyro, [known_turns.judge_gyro(found, turns, measured, gyro)]
+    verdict = judge("six-position", tuple(triads), tuple(remarks))
+    return outcome.finish(verdict, fits, captures, arguments, poses.temperature_of(found))

@@ -2,8 +2,9 @@
 
 Cool the unit (a freezer, in a bag against frost), switch it on, put it down and record until it is
 as warm as it gets; or let a chamber heat and cool it. A recording for each power-on, any number of
-them, in one pose or, for scale and axes too, in poses all around. 10 degC of span are the least
-that is accepted, and the drift is known for what was recorded only.
+them, in one pose or, for scale and axes too, in poses all around: come back to each, as exactly as
+a fixture does, before the temperature has moved by some 5 degC. 10 degC of span are the least that
+is accepted, and the drift is known for what was recorded only.
 
 Both heating and cooling show the lag between thermometer and sensing elements and the hysteresis.
 How flexible the curves are is decided by time held out from the fit; a calibration that makes such
