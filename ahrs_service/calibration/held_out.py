@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ahrs_service.calibration.smooth_choice import level_outputs
-from ahrs_service.calibration.smooth_thermal import Axes, choose, fit_curves
+from ahrs_service.calibration.smooth_thermal import Axes, fit_smooth
 from ahrs_service.calibration.thermal_rows import ThermalRows
 from ahrs_service.records import Floats, Integers
 
-Fit = Callable[[ThermalRows, float], Axes | None]
-"""Curves for some rows and the zero temperature, None where the model cannot be fitted."""
+Fit = Callable[[ThermalRows, float], tuple[Axes, float] | None]
+"""Curves and lag [s] for some rows and a zero temperature, None where they cannot be fitted."""
 
 TENTHS = 10
 
@@ -29,11 +29,10 @@ class HeldOut:
         return before, after
 
 
-def fit_chosen(rows: ThermalRows, zero_degc: float) -> Axes:
-    """Fit the smooth model, its structures chosen by these rows alone."""
-    structures, _ = choose(rows, zero_degc)
-    curves, _ = fit_curves(rows, structures, zero_degc)
-    return curves
+def fit_chosen(rows: ThermalRows, zero_degc: float) -> tuple[Axes, float]:
+    """Fit the smooth model, its structures and its lag chosen by these rows alone."""
+    fit = fit_smooth(rows, zero_degc)
+    return fit.axes, fit.lag.lag_s
 
 
 def halves(rows: ThermalRows) -> Integers:
@@ -59,11 +58,12 @@ def hold_out(
     for number in np.unique(part[part >= 0]):
         test, train = np.flatnonzero(part == number), np.flatnonzero(part != number)
         seen = rows.part(train)
-        curves = fit(seen, float(np.clip(zero_degc, *seen.span_degc)))
-        if curves is None:
+        found = fit(seen, float(np.clip(zero_degc, *seen.span_degc)))
+        if found is None:
             return None
+        curves, lag_s = found
         before[test] = _about_levels(rows, test, train, None)
-        after[test] = _about_levels(rows, test, train, curves)
+        after[test] = _about_levels(rows.at_element(lag_s), test, train, curves)
     tested = np.isfinite(after[:, 0])
     return HeldOut(before[tested], after[tested])
 

@@ -10,7 +10,13 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.calibration.segmented import fit_conventional, fit_improved
-from ahrs_service.calibration.smooth_thermal import SmoothFit, fit_smooth, smooth_calibration
+from ahrs_service.calibration.smooth_drift import Structure
+from ahrs_service.calibration.smooth_thermal import (
+    SmoothFit,
+    fit_curves,
+    fit_smooth,
+    smooth_calibration,
+)
 from ahrs_service.calibration.thermal_records import matrix_rows
 from ahrs_service.calibration.thermal_rows import ThermalRows
 from ahrs_service.calibration.triad import fit_triad, vector
@@ -23,12 +29,15 @@ from ahrs_service.simulation.thermal_parts import ROOM_DEGC
 
 METHODS: Final = (
     "none",
+    "cubic of the bias",
     "conventional, jumping",
     "conventional",
     "improved, jumping",
     "improved",
     "smooth",
 )
+"""What is compared: `none` has the room's matrix and bias alone, `cubic of the bias` is what the
+autopilots fit; the paper's two models jump at the borders of their segments, or meet there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +101,17 @@ def _by_method(
     for name, continuous in ((", jumping", False), ("", True)):
         triads["conventional" + name] = fit_conventional(rows, nominal, ROOM_DEGC, continuous)
         triads["improved" + name] = fit_improved(rows, matrix, bias, ROOM_DEGC, continuous)
-    triads["smooth"] = smooth_calibration(fit, matrix, bias)
+    triads["cubic of the bias"] = _cubic(rows, matrix, bias)
+    triads["smooth"] = smooth_calibration(fit.axes, matrix, bias, fit.lag.lag_s)
     return triads, fit
+
+
+def _cubic(rows: ThermalRows, matrix: Floats, bias: Floats) -> TriadCalibration:
+    """Return what the autopilots fit: a cubic of the bias alone, in one position."""
+    one = rows.part(np.flatnonzero(rows.level == 0))
+    cubic = Structure(bias=(3, 1))
+    axes, _ = fit_curves(one, (cubic, cubic, cubic), ROOM_DEGC)
+    return smooth_calibration(axes, matrix, bias, model="cubic")
 
 
 def residuals(calibration: Calibration, run: Holds) -> tuple[Floats, Floats]:

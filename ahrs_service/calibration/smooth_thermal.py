@@ -102,16 +102,18 @@ def fit_curves(rows: ThermalRows, structures: Structures, zero_degc: float) -> t
     return (x, y, z), np.stack(rests, axis=1)
 
 
-def smooth_calibration(fit: SmoothFit, matrix: Floats, bias: Floats) -> TriadCalibration:
+def smooth_calibration(
+    fitted: Axes, matrix: Floats, bias: Floats, lag_s: float = 0.0, model: str = "smooth"
+) -> TriadCalibration:
     """Return the triad's calibration for `matrix` K and `bias` B of the zero temperature.
 
     Of N = u + c(T) + b(T) u with u = K A + B follow dK = b K and the drift c + b B.
     """
-    scales = [axis.scale for axis in fit.axes]
-    drift = columns_of([(axis.bias_basis, axis.bias[:, None]) for axis in fit.axes])
+    scales = [axis.scale for axis in fitted]
+    drift = columns_of([(axis.bias_basis, axis.bias[:, None]) for axis in fitted])
     matrix_drift = Curve()
     if any(np.any(scale) for scale in scales):
-        bases = [axis.scale_basis for axis in fit.axes]
+        bases = [axis.scale_basis for axis in fitted]
         matrix_drift = columns_of(
             [(basis, scale @ matrix) for basis, scale in zip(bases, scales, strict=True)]
         )
@@ -122,6 +124,6 @@ def smooth_calibration(fit: SmoothFit, matrix: Floats, bias: Floats) -> TriadCal
         bias=vector(bias),
         c=drift,
         matrix_drift=matrix_drift,
-        thermal_lag_s=fit.lag.lag_s,
-        model="smooth",
+        thermal_lag_s=lag_s,
+        model=model,
     )

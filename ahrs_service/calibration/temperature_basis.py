@@ -7,6 +7,7 @@ Outside its span a basis holds the value of the nearest end, as compensation doe
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -66,13 +67,13 @@ class Basis:
 
     def zeroed(self, temperature_degc: Floats, zero_degc: float) -> Floats:
         """Return a basis [N, size - 1] of those curves that are 0 at `zero_degc`."""
-        at_zero = self.values(np.array([zero_degc]))[0]
+        at_zero = _values_at(self, zero_degc)
         shifted = self.values(temperature_degc) - at_zero
         return np.delete(shifted, int(np.argmax(at_zero)), axis=1)
 
     def coefficients_of_zeroed(self, weights: Floats, zero_degc: float) -> Floats:
         """Return the B-spline coefficients [size, M] of `weights` [size - 1, M] on `zeroed`."""
-        at_zero = self.values(np.array([zero_degc]))[0]
+        at_zero = _values_at(self, zero_degc)
         dropped = int(np.argmax(at_zero))
         level = np.delete(at_zero, dropped) @ weights
         return np.insert(weights, dropped, 0.0, axis=0) - level
@@ -88,6 +89,11 @@ class Basis:
             for power in range(self.degree, -1, -1)
         ]
         return np.stack(powers)
+
+
+@lru_cache(maxsize=1024)
+def _values_at(basis: Basis, degc: float) -> Floats:
+    return basis.values(np.array([degc]))[0]
 
 
 def segments(low_degc: float = -40.0, high_degc: float = 70.0, width_degc: float = 5.0) -> int:

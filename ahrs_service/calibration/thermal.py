@@ -45,6 +45,8 @@ BIN_DEGC: Final = 5.0
 
 _SIGMA_NODES: Final = 24
 _SIGNIFICANT: Final = 3.0
+_LARGEST_LOOP: Final = 0.1
+"""Share of the drift that heating and cooling may differ by without a warning."""
 _UNITS: Final = {"gyro": "rad/s", "accel": "m/s^2"}
 _LEAST_SESSIONS: Final = 3
 
@@ -81,6 +83,7 @@ def calibrate_thermal(
     for number, columns in enumerate(sessions):
         check_saturation(columns)
         check_temperature(columns.temperature_degc)
+        check_force_unit(columns.accel_m_s2)
         parts.append(still_rows(columns, number))
     check_temperature(
         np.concatenate([part[0].temperature_degc for part in parts]), least_span_k=LEAST_SPAN_K
@@ -89,7 +92,6 @@ def calibrate_thermal(
         name: joined([part[n] for part in parts], same_levels=False)
         for n, name in enumerate(("gyro", "accel"))
     }
-    check_force_unit(rows["accel"].output)
     zero_degc = _zero(room, rows["gyro"].span_degc)
     gyro, accel = (_fit(one, zero_degc) for one in rows.values())
     calibration = replace(
@@ -117,7 +119,7 @@ def _zero(room: Calibration, span_degc: tuple[float, float]) -> float:
 
 def _fit(rows: ThermalRows, zero_degc: float) -> TriadResult:
     fit = fit_smooth(rows, zero_degc)
-    validated = hold_out(fit.rows, zero_degc)
+    validated = hold_out(rows, zero_degc)
     assert validated is not None, "the smooth model can always be fitted: it may be a constant"
     loop = hysteresis(fit.rows.temperature_degc, fit.rows.rate_degc_s(), fit.residual)
     return TriadResult(fit, validated, loop)
@@ -135,7 +137,7 @@ def _gyro(result: TriadResult, room: TriadCalibration) -> TriadCalibration:
 
 def _calibrated(result: TriadResult, room: TriadCalibration, bias: Floats) -> TriadCalibration:
     fit = result.fit
-    found = smooth_calibration(fit, np.array(room.matrix), bias)
+    found = smooth_calibration(fit.axes, np.array(room.matrix), bias, fit.lag.lag_s)
     nodes = np.linspace(*fit.rows.span_degc, _SIGMA_NODES + 1)
     after = np.sqrt(np.mean(result.held_out.after**2, axis=0))
     lag = (("thermal_lag_s",), ((fit.lag.sigma_s**2,),)) if fit.lag.is_told else ((), ())
@@ -236,8 +238,8 @@ def _on_hysteresis(name: str, result: TriadResult) -> list[Finding]:
     worst = float(significant[:, axis].max())
     if worst == 0.0:
         return [Finding(Level.NOTE, f"{name}: heating and cooling agree")]
-    _, after = result.held_out.rms()
-    level = Level.WARNING if worst > _SIGNIFICANT * after else Level.NOTE
+    drift = result.fit.axes[axis].drift(loop.temperature_degc, np.zeros((len(loop.sigma), 3)))
+    level = Level.WARNING if worst > _LARGEST_LOOP * np.ptp(drift) else Level.NOTE
     text = (
         f"{name}: heating and cooling differ by up to {worst:.3g} {_UNITS[name]} "
         f"({AXES[axis]}), which no curve of temperature takes off"

@@ -1,8 +1,9 @@
 """The recordings that have a temperature, as rows for a thermal fit (see thermal_real.py).
 
-Each recording is read here by what it is: still windows of a bench, still seconds of an aircraft
-that was handled between them, or in flight the difference of two IMUs on one board, which move
-alike, so that what differs is their biases.
+Each recording is read here by what it is: still windows of a bench; quiet seconds of an aircraft
+that was handled between them; in flight, the turn that the gyros sum up over ten seconds against
+that of the autopilot's attitude, whose tilt hangs on gravity and so does not drift; and the
+difference of two IMUs on one board, which move alike, so that what differs is their biases.
 """
 
 import gzip
@@ -13,13 +14,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import median_filter
+from scipy.spatial.transform import Rotation
 
 from ahrs_service.calibration.columns import ImuColumns
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.thermal_poses import joined, still_rows
 from ahrs_service.calibration.thermal_rows import ThermalRows
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.records import ImuSource, Kind
+from ahrs_service.records import ImuSource, Kind, Rows
 from links.dataflash_tables import read_tables
 from links.recording_formats import read_recording
 
@@ -38,12 +41,23 @@ FLIGHTS = {
     "log0039": "copter_pixhawk_log0039_temp.bin",
     "cuav mission": "copter_cuav_2021-12-02_mission_1hz.tlog",
 }
+ATTITUDES = {
+    "log0036": FLIGHTS["log0036"],
+    "log0039": FLIGHTS["log0039"],
+    "rov": BENCHES["rov"],
+}
 CHAMBER = "bench_iim42652_accel_cold_chamber.csv.gz"
 SOLAR = "solar_dawn3_fixedwing_px4_csv.zip"
 
 _FIRST = {ImuSource.RAW_IMU: 1, ImuSource.DATAFLASH: 1, ImuSource.SCALED_IMU2: 2}
+ATTITUDE_S = 10.0
+LEAST_ROWS = 10
 _CHAMBER_ROW = 100
 _QUIET = 3.0
+_SLOW_RAD_S = 4e-3
+_AROUND = 61
+_LARGEST_NOISE = {"gyro": 0.03, "accel": 0.3}
+"""Two IMUs that differ by more than this have not been sampled at like instants [SI]."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +90,9 @@ def every_series(data: Path) -> Iterator[Series | Silent]:
     if (data / SOLAR).is_file():
         for number in (0, 1):
             yield from _solar(data / SOLAR, number)
+    for name, file in ATTITUDES.items():
+        if (data / file).is_file():
+            yield from _against_attitude(name, data / file)
     for name, file in FLIGHTS.items():
         if (data / file).is_file():
             yield from _difference(name, _imus(data / file))
@@ -131,8 +148,9 @@ def _still(name: str, sessions: list[ImuColumns]) -> Iterator[Series | Silent]:
             parts.append(still_rows(columns, number))
         except CalibrationError as error:
             reason = str(error)
-    if not parts:
-        yield Silent(name, reason)
+    count = sum(len(gyro) for gyro, _ in parts)
+    if count < LEAST_ROWS:
+        yield Silent(name, reason if not parts else f"only {count} still windows")
         return
     for triad, unit, scale, k in (("gyro", "mrad/s", MRAD_S, 0), ("accel", "mg", MILLI_G, 1)):
         # The autopilot zeroes its gyros when it starts, so a session has its own level.
@@ -167,9 +185,47 @@ def _solar(path: Path, number: int) -> Iterator[Series]:
     time, temperature = table["timestamp"] * 1e-6, table["temperature_accel"]
     columns = ImuColumns(time, gyro, accel, temperature)
     keep = np.flatnonzero(quiet & np.isfinite(temperature))
+    # Someone turns a 4 m aircraft slowly: its seconds are quiet, but off those around them.
+    around = median_filter(gyro[keep], size=(_AROUND, 1), mode="nearest")
+    keep = keep[(np.abs(gyro[keep] - around) < _SLOW_RAD_S).all(axis=1)]
     level = np.zeros(len(keep), np.int64)
     rows = ThermalRows(time[keep], temperature[keep], columns.gyro_rad_s[keep], level, level)
     yield Series(f"solar IMU{number + 1}", "gyro", rows, "mrad/s", MRAD_S)
+
+
+def _against_attitude(name: str, path: Path) -> Iterator[Series | Silent]:
+    """Gyro bias in windows of ATTITUDE_S: what the gyros turned more than the attitude did."""
+    recording = read_recording(path)
+    reference = recording.references[0]
+    imu = recording.readings[recording.readings["kind"] == Kind.IMU]
+    source = min(set(imu["source"].tolist()) & set(_FIRST), key=lambda one: _FIRST[ImuSource(one)])
+    imu = imu[imu["source"] == source]
+    imu = imu[np.isfinite(imu["temperature_degc"])]
+    start = max(imu["time_ns"][0], reference.time_ns[0])
+    stop = min(imu["time_ns"][-1], reference.time_ns[-1])
+    edges = np.arange(start, stop, round(ATTITUDE_S * 1e9))
+    attitude = reference.ned_from_body[np.searchsorted(reference.time_ns, edges)]
+    at = reference.time_ns[np.searchsorted(reference.time_ns, edges)]
+    biases, temperatures = [], []
+    for n in range(len(edges) - 1):
+        own = (imu["time_ns"] >= at[n]) & (imu["time_ns"] < at[n + 1])
+        turned = _turn(imu[own], at[n], at[n + 1])
+        told = Rotation.from_quat(attitude[n : n + 2], scalar_first=True)
+        difference = (told[0].inv() * told[1]).inv() * turned
+        biases.append(difference.as_rotvec() / ((at[n + 1] - at[n]) * 1e-9))
+        temperatures.append(imu["temperature_degc"][own].mean())
+    nil = np.zeros(len(biases), np.int64)
+    rows = ThermalRows(edges[:-1] * 1e-9, np.array(temperatures), np.array(biases), nil, nil)
+    yield Series(f"{name} by attitude", "gyro", rows, "mrad/s", MRAD_S)
+
+
+def _turn(imu: Rows, start_ns: int, stop_ns: int) -> Rotation:
+    """Return the turn from `start_ns` to `stop_ns` by rates held from one sample to the next."""
+    times = np.concatenate([[start_ns], imu["time_ns"][1:], [stop_ns]])
+    turn = Rotation.identity()
+    for rate, step_ns in zip(imu["gyro_rad_s"], np.diff(times), strict=True):
+        turn = turn * Rotation.from_rotvec(rate * step_ns * 1e-9)
+    return turn
 
 
 def _difference(name: str, imus: list[tuple[str, list[ImuColumns]]]) -> Iterator[Series | Silent]:
@@ -187,6 +243,11 @@ def _difference(name: str, imus: list[tuple[str, list[ImuColumns]]]) -> Iterator
         difference = (one - other)[: count * size].reshape(*shape, 3).mean(axis=1)
         temperature = first.temperature_degc[: count * size].reshape(shape).mean(axis=1)
         time = first.time_s[: count * size].reshape(shape).mean(axis=1)
+        noise = float(np.median(np.abs(difference - np.median(difference, axis=0))))
+        if noise > _LARGEST_NOISE[triad]:
+            reason = f"its IMUs are not sampled together: their {triad}s differ by {noise:.2g} SI"
+            yield Silent(f"{name} IMU1-IMU2", reason)
+            continue
         keep = np.isfinite(temperature)
         nil = np.zeros(int(keep.sum()), np.int64)
         rows = ThermalRows(time[keep], temperature[keep], difference[keep], nil, nil)

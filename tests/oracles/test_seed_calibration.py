@@ -49,6 +49,12 @@ def test_smooth_leaves_2_mg(bench):
     assert gyro.max() < improved_gyro.max()
 
 
+def test_the_autopilots_cubic_does_not_hold_110_degrees(bench):
+    _, cubic = largest(bench, "cubic of the bias")
+    _, smooth = largest(bench, "smooth")
+    assert smooth.max() < 0.3 * cubic.max()
+
+
 def test_what_the_room_alone_knows_is_far_worse(bench):
     gyro, accel = largest(bench, "none")
     assert accel.max() > 30.0

@@ -37,6 +37,7 @@ _E2: Final = 0.00669437999014
 class Capture:
     """IMU columns and where they come from: IMU message, sample rate [Hz], hash of the file.
 
+    `unit` is the number of the autopilot's board, "" where the recording does not tell it.
     `compensated` says what the autopilot had taken off these samples before, as far as is known.
     """
 
@@ -47,6 +48,7 @@ class Capture:
     rate_hz: float
     notes: tuple[str, ...] = ()
     compensated: tuple[str, ...] = ()
+    unit: str = ""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -96,6 +98,7 @@ def read_capture(path: Path, settings: IntakeSettings) -> Capture:
         rate_hz=1.0 / columns.interval_s,
         notes=recording.notes,
         compensated=tuple(already_compensated(told.values, ImuSource[source], told.autopilot)),
+        unit=recording.unit,
     )
 
 

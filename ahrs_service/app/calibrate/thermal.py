@@ -2,8 +2,9 @@
 
 Cool the unit (a freezer, in a bag against frost), switch it on, put it down and record until it is
 as warm as it gets; or let a chamber heat and cool it. A recording for each power-on, any number of
-them, in one pose or, for scale and axes too, in poses all around. 10 degC of span are the least
-that is accepted, and the drift is known for what was recorded only.
+them, in one pose or, for scale and axes too, in poses all around: come back to each, as exactly as
+a fixture does, before the temperature has moved by some 5 degC. 10 degC of span are the least that
+is accepted, and the drift is known for what was recorded only.
 
 Both heating and cooling show the lag between thermometer and sensing elements and the hysteresis.
 How flexible the curves are is decided by time held out from the fit; a calibration that makes such
@@ -19,7 +20,6 @@ import argparse
 import dataclasses
 import datetime
 import json
-from pathlib import Path
 from typing import Any, Final
 
 from rich.console import Console
@@ -28,7 +28,6 @@ from rich.table import Table
 
 from ahrs_service.app import calibration_file
 from ahrs_service.app.calibrate import capture, outcome, poses
-from ahrs_service.app.config_file import ConfigError
 from ahrs_service.calibration.thermal import PROCEDURE, ThermalResult, calibrate_thermal
 from ahrs_service.calibration.verdict import TriadVerdict
 from ahrs_service.sensor.parameters import Calibration
@@ -51,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     captures = capture.read_captures(arguments)
     for one in captures:
         capture.check_rate(one, LEAST_HZ, "telling rest from motion")
-    room = _room(arguments)
+    room = outcome.unit_of(arguments, captures)
     result = calibrate_thermal(
         [one.columns for one in captures], room, poses.on_autopilot(captures)
     )
@@ -60,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
         console.print(_by_temperature(triad))
     written = None
     if arguments.out is not None and not result.verdict.is_refused:
-        calibration_file.save(arguments.out, _with_origin(result, room, captures, arguments))
+        calibration_file.save(arguments.out, _with_origin(result, room, captures))
         written = str(arguments.out)
         console.print(f"wrote {escape(written)}", highlight=False, soft_wrap=True)
     elif arguments.out is not None:
@@ -70,33 +69,18 @@ def run(arguments: argparse.Namespace) -> int:
     return outcome.EXIT_REFUSED if result.verdict.is_refused else outcome.EXIT_DONE
 
 
-def _room(arguments: argparse.Namespace) -> Calibration:
-    """Return what the unit's file says so far; ConfigError where it is another unit's."""
-    path: Path | None = arguments.out
-    if path is None or not path.exists():
-        return Calibration.ideal()
-    room = calibration_file.load(path)
-    if room.serial and arguments.serial and room.serial != arguments.serial:
-        raise ConfigError(
-            f"{path}: is of unit {room.serial}, not {arguments.serial}; give another --out"
-        )
-    return room
-
-
 def _with_origin(
     result: ThermalResult,
     room: Calibration,
     captures: list[capture.Capture],
-    arguments: argparse.Namespace,
 ) -> Calibration:
-    """Return the calibration with serial, verdict and where it comes from."""
+    """Return the calibration with verdict and where it comes from."""
     origin = room.provenance
     recordings = {recording.sha256: recording for recording in origin.recordings}
     for one in captures:
         recordings[one.sha256] = SourceRecording(one.path.name, one.sha256, PROCEDURE)
     return dataclasses.replace(
         result.calibration,
-        serial=arguments.serial or room.serial,
         verdict=outcome.as_stored(result.verdict, room.verdict),
         provenance=Provenance(
             date=datetime.date.today().isoformat(),
