@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
@@ -15,6 +16,7 @@ _UNITS: Final = ((1000.0, "mG"), (1.0, "g"), (1e5 / STANDARD_GRAVITY_M_S2, "cm/s
 _UNIT_TOLERANCE: Final = 0.2
 _FLAT_TOP: Final = 3
 _FLAT_TOP_JUMP: Final = 10.0
+_FINE: Final = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,28 +97,39 @@ def check_temperature(temperature_degc: Floats, least_span_k: float = 0.0) -> No
         )
 
 
-def find_flat_tops(values: Floats) -> list[int]:
-    """Return the axes of `values` [N, 3] that run into an end of their range.
+def flat_tops(values: Floats) -> npt.NDArray[np.bool_]:
+    """Tell which of `values` [N, 3] are at an end of their axis's range.
 
-    There the same extreme value comes three times or more on end, reached by a jump of ten times
-    the usual step: noise does neither, and a coarse but quiet sensor lacks the jump.
+    There the same extreme value comes three times or more on end, which noise does not do where it
+    spans many steps of the sensor's resolution (thirty). Where it does not, a jump of ten times
+    the usual step must lead there: a coarse but quiet sensor lacks it. Samples sent twice, the same
+    on all axes, count once.
     """
-    return [
-        axis for axis in range(values.shape[1]) if len(values) and _is_flat_top(values[:, axis])
-    ]
+    if len(values) < 2:
+        return np.zeros(values.shape, np.bool_)
+    is_new = np.concatenate([[True], (np.diff(values, axis=0) != 0.0).any(axis=1)])
+    fresh = values[is_new]
+    flat = np.stack([_flat_top(column) for column in fresh.T], axis=1)
+    return flat[np.cumsum(is_new) - 1]
 
 
-def _is_flat_top(values: Floats) -> bool:
-    steps = np.abs(np.diff(values))
-    usual = float(np.median(steps)) or float(np.min(steps[steps > 0.0], initial=np.inf))
-    for extreme in (values.max(), values.min()):
-        at = np.flatnonzero(np.diff(np.concatenate([[0], values == extreme, [0]]).astype(np.int8)))
+def _flat_top(column: Floats) -> npt.NDArray[np.bool_]:
+    flat = np.zeros(len(column), np.bool_)
+    steps = np.abs(np.diff(column))
+    if not steps.any():
+        return flat
+    usual = float(np.median(steps)) or float(np.min(steps[steps > 0.0]))
+    fine = float(np.min(np.diff(np.unique(column)))) * _FINE < usual
+    for extreme in (column.max(), column.min()):
+        edges = np.diff(np.concatenate([[0], column == extreme, [0]]).astype(np.int8))
+        at = np.flatnonzero(edges)
         for first, last in zip(at[::2], at[1::2], strict=True):
             into = steps[first - 1] if first > 0 else 0.0
-            out_of = steps[last - 1] if last < len(values) else 0.0
-            if last - first >= _FLAT_TOP and max(into, out_of) > _FLAT_TOP_JUMP * usual:
-                return True
-    return False
+            out_of = steps[last - 1] if last < len(column) else 0.0
+            jump = fine or max(into, out_of) > _FLAT_TOP_JUMP * usual
+            if last - first >= _FLAT_TOP and jump:
+                flat[first:last] = True
+    return flat
 
 
 def check_saturation(columns: ImuColumns) -> None:
@@ -125,7 +138,7 @@ def check_saturation(columns: ImuColumns) -> None:
         ("gyro", columns.gyro_rad_s, "rad/s"),
         ("accelerometer", columns.accel_m_s2, "m/s^2"),
     ):
-        for axis in find_flat_tops(values):
+        for axis in np.flatnonzero(flat_tops(values).any(axis=0)):
             limit = float(np.abs(values[:, axis]).max())
             raise CalibrationError(
                 f"{name} {AXES[axis]} is saturated at {limit:.4g} {unit}: turn and put down the "

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.calibration import multi_pose, six_position
-from ahrs_service.calibration.columns import ImuColumns
+from ahrs_service.calibration.columns import ImuColumns, check_stream_unit
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.known_turns import find_turns
 from ahrs_service.calibration.multi_pose import LEAST_POSES
@@ -225,6 +225,10 @@ def _state(columns: ImuColumns, poses: Rows) -> str:
     windows = windows_of(columns)
     if not len(windows.is_still):
         return "waiting for samples"
+    try:
+        check_stream_unit(columns)
+    except CalibrationError as error:
+        return str(error)
     moves = np.flatnonzero(~windows.is_still)
     still = len(windows.is_still) - 1 - (int(moves[-1]) if len(moves) else -1)
     if still <= 0:

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.calibration.columns import AXES, ImuColumns
+from ahrs_service.calibration.columns import AXES, ImuColumns, flat_tops
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.poses import directions, rest_bias, span_of
 from ahrs_service.calibration.triad import (
@@ -48,6 +48,7 @@ def find_turns(columns: ImuColumns, poses: Rows, accel: TriadFit, unit_deg: floa
     """
     bias, _ = rest_bias(poses)
     up = directions(accel.compensate(poses["accel_m_s2"]))
+    clipped = np.any(flat_tops(columns.gyro_rad_s), axis=1)
     truth, measured, left_out = [], [], []
     for k in range(len(poses) - 1):
         if up[k] @ up[k + 1] < math.cos(_SAME_FACE_RAD):
@@ -57,6 +58,12 @@ def find_turns(columns: ImuColumns, poses: Rows, accel: TriadFit, unit_deg: floa
         if np.linalg.norm(turned) < _LEAST_RAD:
             continue
         begin_s = float(poses["stop_s"][k])
+        if clipped[poses["last"][k] : poses["first"][k + 1]].any():
+            left_out.append(
+                f"turn at {begin_s:.0f} s: the gyro ran into the end of its range, so it does not "
+                "count: turn more slowly, or set the gyro to a wider range"
+            )
+            continue
         _check_axis(turned, axis, begin_s)
         angle = float(turned @ axis)
         turns = round(math.degrees(angle) / unit_deg)

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.calibration.columns import AXES, ImuColumns
+from ahrs_service.calibration.columns import AXES, ImuColumns, flat_tops
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.least_squares import Fit, gauss_newton
 from ahrs_service.calibration.multi_pose import FOLDS, folds
@@ -32,16 +32,18 @@ _IDENTITY: Final[Floats] = np.eye(3).ravel()
 def turns_between(columns: ImuColumns, poses: Rows) -> list[tuple[int, int, int]]:
     """Return (pose before, first sample, sample after the last) for each usable turn.
 
-    From the middle of one pose to that of the next, where gravity turned by 20 deg or more
-    and no sample is missing on the way.
+    From the middle of one pose to that of the next, where gravity turned by 20 deg or more, no
+    sample is missing on the way, and the gyros are within their range.
     """
+    clipped = np.any(flat_tops(columns.gyro_rad_s), axis=1)
     up = directions(poses["accel_m_s2"])
     turns = []
     for k in range(len(poses) - 1):
         first, last = int(poses["last"][k]) - 1, int(poses["first"][k + 1]) + 1
         angle = math.acos(float(np.clip(up[k] @ up[k + 1], -1.0, 1.0)))
         longest = float(np.diff(columns.time_s[first:last]).max())
-        if angle >= _LEAST_TURN_RAD and longest < _GAP * columns.interval_s:
+        whole = longest < _GAP * columns.interval_s and not clipped[first:last].any()
+        if angle >= _LEAST_TURN_RAD and whole:
             turns.append((k, first, last))
     return turns
 
@@ -56,8 +58,8 @@ def fit_gyro(columns: ImuColumns, poses: Rows, accel: TriadFit) -> TriadFit:
     if len(turns) < _LEAST_TURNS:
         raise CalibrationError(
             f"{len(turns)} turns of 20 degrees or more between still poses: the gyros need "
-            f"{_LEAST_TURNS} or more, without a gap in the recording; turn the unit further from "
-            "pose to pose, about all its axes"
+            f"{_LEAST_TURNS} or more, without a gap in the recording and within their range; turn "
+            "the unit further from pose to pose, about all its axes, and not too fast"
         )
     bias, variance = rest_bias(poses)
     up = directions(accel.compensate(poses["accel_m_s2"]))

@@ -176,9 +176,9 @@ def bad(name):
             "this is in mG; convert it to m/s^2",
         ),
         "gyro at its end": (
-            "six-position",
-            change(six, gyro_rad_s=np.clip(gyro, -1.0, 1.0)),
-            "gyro x is saturated at 1 rad/s",
+            "multi-pose",
+            change(many, gyro_rad_s=np.clip(many.rows["gyro_rad_s"], -0.5, 0.5)),
+            "within their range; turn the unit further from pose to pose",
         ),
         "accelerometer at its end": (
             "six-position",
@@ -241,6 +241,21 @@ def test_what_the_autopilot_did_and_the_warm_up_are_told(calibrate, tmp_path):
     assert plain["words"].startswith("use with care: ")
     assert "from 20 to 32 degC during the poses" in plain["words"]
     assert plain["verdict"]["triads"][0]["span_degc"] == pytest.approx([20, 32], abs=1.5)
+
+
+def test_turns_at_the_end_of_the_range_do_not_count(calibrate, tmp_path):
+    """Two of six circles are too fast: the others and the poses are used."""
+    flight = flight_of("six-position", 110.0)
+    gyro = flight.rows["gyro_rad_s"].copy()
+    gyro[:, 2] = np.clip(gyro[:, 2], -1.0, 1.5)
+    write_tlog(tmp_path / "a.tlog", change(flight, gyro_rad_s=gyro), RATES)
+    code, plain, _ = calibrate("six-position", tmp_path / "a.tlog", "--no-turns", "--json")
+    assert code == 0
+    assert "gyro z was saturated at times" in plain["words"]
+    code, _, said = calibrate("six-position", tmp_path / "a.tlog")
+    assert code == 1
+    assert "4 turns about the vertical" in said
+    assert "with each of the unit's three axes vertical in turn" in said
 
 
 def test_turns_by_another_angle_do_not_count(recordings, calibrate):

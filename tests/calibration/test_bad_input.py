@@ -13,7 +13,7 @@ from ahrs_service.calibration.columns import (
     check_force_unit,
     check_saturation,
     check_temperature,
-    find_flat_tops,
+    flat_tops,
 )
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.poses import check_clipped_poses, find_poses
@@ -91,6 +91,17 @@ def test_a_gyro_at_its_end_is_saturated(bench):
         check_saturation(clipped)
 
 
+def test_turns_at_the_end_of_the_range_are_left_out(bench):
+    columns, _ = bench("six-position", 100.0)
+    gyro = columns.gyro_rad_s.copy()
+    gyro[:, 0] = np.clip(gyro[:, 0], -1.0, 1.0)
+    clipped = replace(columns, gyro_rad_s=gyro)
+    turns = known_turns.find_turns(clipped, find_poses(clipped), ideal(), 360.0)
+    assert len(turns.truth) == 4
+    assert len(turns.left_out) == 2
+    assert "ran into the end of its range, so it does not count: turn more" in turns.left_out[0]
+
+
 def test_an_accelerometer_at_its_end_is_saturated(bench):
     columns, _ = bench("six-position", 100.0)
     check_clipped_poses(columns, find_poses(columns))
@@ -110,7 +121,22 @@ def test_noise_and_rounding_are_no_saturation(seed, step, sigma):
     values = np.random.default_rng(seed).normal(0.0, sigma, (300, 3))
     if step:
         values = np.round(values / step) * step
-    assert find_flat_tops(values) == []
+    assert not flat_tops(values).any()
+    # A link that sends each sample four times changes nothing.
+    assert not flat_tops(np.repeat(values, 4, axis=0)).any()
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4))
+def test_a_clipped_swing_is_saturated_where_it_is_clipped(seed, times):
+    t = np.arange(400) / 100.0
+    swing = np.stack([3.0 * np.sin(2.0 * t), np.cos(2.0 * t), 0.0 * t], axis=1)
+    swing += np.random.default_rng(seed).normal(0.0, 1e-3, swing.shape)
+    clipped = np.clip(swing, -2.0, 2.0)
+    flat = flat_tops(np.repeat(clipped, times, axis=0))
+    truth = np.repeat(np.abs(swing) >= 2.0, times, axis=0)
+    assert not (flat & ~truth).any()
+    # Noise lets single samples through at both ends of each clipped stretch.
+    assert (flat & truth).sum() > 0.95 * truth.sum()
 
 
 def test_a_turn_about_another_axis_than_the_vertical_is_told(bench):

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.app.calibrate.capture import Capture, check_rate, joined
-from ahrs_service.calibration.columns import ImuColumns, check_saturation, check_stream_unit
+from ahrs_service.calibration.columns import AXES, ImuColumns, check_stream_unit, flat_tops
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.poses import check_clipped_poses, find_poses, span_of
 from ahrs_service.calibration.verdict import Finding, Level
@@ -25,7 +25,6 @@ def still_poses(captures: list[Capture]) -> tuple[ImuColumns, Rows]:
         check_rate(capture, LEAST_HZ, "telling rest from motion")
     columns = joined(captures)
     check_stream_unit(columns)
-    check_saturation(columns)
     poses = find_poses(columns)
     if not len(poses):
         raise CalibrationError(
@@ -38,7 +37,20 @@ def still_poses(captures: list[Capture]) -> tuple[ImuColumns, Rows]:
 
 def remarks(captures: list[Capture], poses: Rows) -> tuple[Finding, ...]:
     """Say what the autopilot had done to the samples, and what their temperatures mean."""
-    return (*on_autopilot(captures), _on_temperature(poses))
+    return (*on_autopilot(captures), *_on_range(captures), _on_temperature(poses))
+
+
+def _on_range(captures: list[Capture]) -> tuple[Finding, ...]:
+    """Say which gyros ran into the end of their range."""
+    clipped = [flat_tops(capture.columns.gyro_rad_s).any(axis=0) for capture in captures]
+    names = ", ".join(np.array(AXES)[np.any(clipped, axis=0)])
+    if not names:
+        return ()
+    text = (
+        f"gyro {names} was saturated at times, and turns with it do not count: turn more slowly, "
+        "or set the gyro to a wider range"
+    )
+    return (Finding(Level.WARNING, text),)
 
 
 def on_autopilot(captures: list[Capture]) -> tuple[Finding, ...]:
