@@ -1,10 +1,10 @@
 """Drift over temperature: from recordings in which the unit lies still and warms or cools.
 
 Cool the unit (a freezer, in a bag against frost), switch it on, put it down and record until it is
-as warm as it gets; or let a chamber heat and cool it. A recording for each power-on, any number of
-them, in one pose or, for scale and axes too, in poses all around: come back to each, as exactly as
-a fixture does, before the temperature has moved by some 5 degC. 10 degC of span are the least that
-is accepted, and the drift is known for what was recorded only.
+as warm as it gets; or let a chamber heat and cool it. Any number of power-ons, in one recording or
+several, in one pose or, for scale and axes too, in poses all around: come back to each, as exactly
+as a fixture does, before the temperature has moved by some 5 degC. 10 degC of span are the least
+that is accepted, and the drift is known for what was recorded only.
 
 Both heating and cooling show the lag between thermometer and sensing elements and the hysteresis.
 How flexible the curves are is decided by time held out from the fit; a calibration that makes such
@@ -23,6 +23,7 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -32,11 +33,15 @@ from ahrs_service.app.calibrate import capture, outcome, poses
 from ahrs_service.app.config_file import ConfigError
 from ahrs_service.calibration.thermal import PROCEDURE, ThermalResult, calibrate_thermal
 from ahrs_service.calibration.verdict import TriadVerdict
+from ahrs_service.records import Kind
 from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.sensor.provenance import Provenance, SourceRecording
+from ahrs_service.settings import IntakeSettings
+from links.recording_formats import read_recording
 
 LEAST_HZ: Final = 0.5
 """Slower samples have no window of eight between a bump and the next."""
+_BACK_NS: Final = 1_000_000_000
 _SHOWN: Final = {"gyro": (1e3, "mrad/s"), "accel": (1e3 / 9.80665, "mg")}
 
 
@@ -49,7 +54,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Fit, judge, show and write; return the exit code."""
     console = Console(stderr=bool(arguments.json))
-    captures = capture.read_captures(arguments)
+    if not arguments.recordings:
+        raise ConfigError("give one recording or more of a unit that lies still")
+    settings = capture.intake_of(arguments)
+    captures = [one for path in arguments.recordings for one in power_ons(path, settings)]
     for one in captures:
         capture.check_rate(one, LEAST_HZ, "telling rest from motion")
     room = _room(arguments)
@@ -69,6 +77,18 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(_plain(result, captures, written)))
     return outcome.EXIT_REFUSED if result.verdict.is_refused else outcome.EXIT_DONE
+
+
+def power_ons(path: Path, settings: IntakeSettings) -> list[capture.Capture]:
+    """Return the captures of a recording, one for each power-on: there its clock jumps back."""
+    recording = read_recording(path)
+    readings = recording.readings
+    back = np.diff(readings["received_ns"]) < -_BACK_NS
+    if not back.any():
+        return [capture.capture_of(recording, readings, settings)]
+    parts = np.split(readings, np.flatnonzero(back) + 1)
+    held = [part for part in parts if np.count_nonzero(part["kind"] == Kind.IMU) > 1]
+    return [capture.capture_of(recording, part, settings) for part in held]
 
 
 def _room(arguments: argparse.Namespace) -> Calibration:
