@@ -176,3 +176,21 @@ def test_a_real_log_of_three_power_ons_gives_a_calibration(thermal, shared, tmp_
     calibration = calibration_file.load(out)
     assert calibration.gyro.span_degc == pytest.approx((32.6, 43.0), abs=0.1)
     assert len(calibration.provenance.recordings) == 1
+
+
+def test_a_calibration_is_of_one_board(shared):
+    from ahrs_service.app.calibrate.capture import read_capture, unit_of
+    from ahrs_service.app.config_file import ConfigError
+    from ahrs_service.settings import IntakeSettings
+
+    logs = (
+        "bench_cuav_2021-12-08_static_warmup_2hz.tlog",
+        "rov_bluerov2_2023-05-04_warmup_att20hz.tlog",
+    )
+    cuav, rov = (read_capture(shared / "flights" / log, IntakeSettings()) for log in logs)
+    assert unit_of([cuav, cuav], "") == cuav.unit.lower() != ""
+    assert unit_of([cuav], cuav.unit.upper()) == cuav.unit.lower()
+    with pytest.raises(ConfigError, match="several boards"):
+        unit_of([cuav, rov], "")
+    with pytest.raises(ConfigError, match="several boards"):
+        unit_of([cuav], rov.unit)

@@ -38,7 +38,8 @@ _E2: Final = 0.00669437999014
 class Capture:
     """IMU columns and where they come from: IMU message, sample rate [Hz], hash of the file.
 
-    `compensated` says what the autopilot had taken off these samples before, as far as is known.
+    `compensated` says what the autopilot had taken off these samples before, as far as is known;
+    `unit` is the number of its board, empty where it is not told.
     """
 
     columns: ImuColumns
@@ -48,6 +49,7 @@ class Capture:
     rate_hz: float
     notes: tuple[str, ...] = ()
     compensated: tuple[str, ...] = ()
+    unit: str = ""
 
 
 def add_arguments(parser: argparse.ArgumentParser, many: bool = True) -> None:
@@ -105,7 +107,22 @@ def capture_of(recording: Recording, readings: Rows, settings: IntakeSettings) -
         rate_hz=1.0 / columns.interval_s,
         notes=recording.notes,
         compensated=tuple(already_compensated(told.values, ImuSource[source], told.autopilot)),
+        unit=recording.unit,
     )
+
+
+def unit_of(captures: list[Capture], known: str) -> str:
+    """Return the number of the board that all captures are of, `known` what its file says.
+
+    ConfigError where these are several boards; empty where none is told.
+    """
+    units = sorted({known.lower(), *(capture.unit.lower() for capture in captures)} - {""})
+    if len(units) > 1:
+        raise ConfigError(
+            f"the recordings and --out are of several boards ({', '.join(units)}): a calibration "
+            "is of one; give the recordings of one, and --out a file of its own"
+        )
+    return units[0] if units else ""
 
 
 def read_captures(arguments: argparse.Namespace) -> list[Capture]:

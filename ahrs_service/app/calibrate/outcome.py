@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ahrs_service.app import calibration_file
-from ahrs_service.app.calibrate.capture import Capture
+from ahrs_service.app.calibrate.capture import Capture, unit_of
 from ahrs_service.app.config_file import ConfigError
 from ahrs_service.calibration.triad import NAMES, TriadFit, vector
 from ahrs_service.calibration.verdict import Level, TriadVerdict, Verdict
@@ -99,6 +99,7 @@ def updated(
         gyro=triads.get("gyro", before.gyro),
         accel=triads.get("accel", before.accel),
         serial=arguments.serial or before.serial,
+        uid=unit_of(captures, before.uid),
         verdict=as_stored(verdict, before.verdict),
         provenance=Provenance(
             date=datetime.date.today().isoformat(),

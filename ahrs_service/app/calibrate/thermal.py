@@ -118,6 +118,7 @@ def _with_origin(
     return dataclasses.replace(
         result.calibration,
         serial=arguments.serial or room.serial,
+        uid=capture.unit_of(captures, room.uid),
         verdict=outcome.as_stored(result.verdict, room.verdict),
         provenance=Provenance(
             date=datetime.date.today().isoformat(),
