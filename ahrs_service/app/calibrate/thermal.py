@@ -13,6 +13,10 @@ time worse is refused.
 Examples:
   ahrs-service calibrate thermal warmup.tlog --out configs/calibrations/A0042.toml
   ahrs-service calibrate thermal cold1.bin cold2.bin --json
+  ahrs-service calibrate thermal --link udpin:127.0.0.1:14550 --span 30 --out A0042.toml
+
+With --link the terminal tells how far the temperature has come, and ends by itself. All that is
+heard is kept in a .tlog, and what is found is what the same command finds in it.
 
 """
 
@@ -20,6 +24,7 @@ import argparse
 import dataclasses
 import datetime
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,9 +34,11 @@ from rich.markup import escape
 from rich.table import Table
 
 from ahrs_service.app import calibration_file
-from ahrs_service.app.calibrate import capture, outcome, poses
+from ahrs_service.app.calibrate import capture, outcome, poses, session
 from ahrs_service.app.config_file import ConfigError
+from ahrs_service.app.options import positive
 from ahrs_service.calibration.thermal import PROCEDURE, ThermalResult, calibrate_thermal
+from ahrs_service.calibration.thermal_guide import guide_thermal
 from ahrs_service.calibration.verdict import TriadVerdict
 from ahrs_service.records import Kind
 from ahrs_service.sensor.parameters import Calibration
@@ -41,6 +48,9 @@ from links.recording_formats import read_recording
 
 LEAST_HZ: Final = 0.5
 """Slower samples have no window of eight between a bump and the next."""
+LINK_HZ: Final = 20.0
+"""What is asked for on a link: the means of a second are what is fitted."""
+WANTED_K: Final = 20.0
 _BACK_NS: Final = 1_000_000_000
 _SHOWN: Final = {"gyro": (1e3, "mrad/s"), "accel": (1e3 / 9.80665, "mg")}
 
@@ -48,16 +58,31 @@ _SHOWN: Final = {"gyro": (1e3, "mrad/s"), "accel": (1e3 / 9.80665, "mg")}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `calibrate thermal`."""
     capture.add_arguments(parser)
+    session.add_arguments(parser)
+    parser.set_defaults(rate=LINK_HZ)
+    parser.add_argument(
+        "--span",
+        type=positive,
+        default=WANTED_K,
+        metavar="DEGC",
+        help=f"span of temperature that ends a session on a link (default: {WANTED_K:g})",
+    )
     outcome.add_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fit, judge, show and write; return the exit code."""
-    console = Console(stderr=bool(arguments.json))
-    if not arguments.recordings:
-        raise ConfigError("give one recording or more of a unit that lies still")
+    """Calibrate from recordings or a session on a link; return the exit code."""
+    if arguments.link or not arguments.recordings:
+        guide = partial(guide_thermal, wanted_degc=arguments.span)
+        return session.run(arguments, guide, calibrate)
     settings = capture.intake_of(arguments)
     captures = [one for path in arguments.recordings for one in power_ons(path, settings)]
+    return calibrate(captures, arguments)
+
+
+def calibrate(captures: list[capture.Capture], arguments: argparse.Namespace) -> int:
+    """Fit, judge, show and write; return the exit code."""
+    console = Console(stderr=bool(arguments.json))
     for one in captures:
         capture.check_rate(one, LEAST_HZ, "telling rest from motion")
     room = _room(arguments)
