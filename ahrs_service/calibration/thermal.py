@@ -215,7 +215,8 @@ def _by_temperature(rows: ThermalRows, residual: Floats) -> tuple[TemperatureRes
 def _on_room(room: Calibration, zero_degc: float) -> list[Finding]:
     """Say where matrix and bias of the room meet the drift."""
     gap = abs(room.room_degc - zero_degc)
-    if gap < 1.0 or room == Calibration.ideal():
+    ideal = Calibration.ideal()
+    if gap < 1.0 or (room.gyro, room.accel) == (ideal.gyro, ideal.accel):
         return []
     text = (
         f"the drift is counted from {zero_degc:.0f} degC, for {room.room_degc:.0f} degC, where "

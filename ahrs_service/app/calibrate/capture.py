@@ -38,8 +38,8 @@ _E2: Final = 0.00669437999014
 class Capture:
     """IMU columns and where they come from: IMU message, sample rate [Hz], hash of the file.
 
-    `compensated` says what the autopilot had taken off these samples before, as far as is known;
-    `unit` is the number of its board, empty where it is not told.
+    `unit` is the number of the autopilot's board, "" where the recording does not tell it.
+    `compensated` says what the autopilot had taken off these samples before, as far as is known.
     """
 
     columns: ImuColumns
@@ -52,11 +52,9 @@ class Capture:
     unit: str = ""
 
 
-def add_arguments(parser: argparse.ArgumentParser, many: bool = True) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the recordings and what chooses the samples in them."""
-    parser.add_argument(
-        "recordings", nargs="*" if many else "+", type=Path, metavar="RECORDING", help=KNOWN
-    )
+    parser.add_argument("recordings", nargs="*", type=Path, metavar="RECORDING", help=KNOWN)
     parser.add_argument(
         "--imu",
         default="auto",
@@ -109,20 +107,6 @@ def capture_of(recording: Recording, readings: Rows, settings: IntakeSettings) -
         compensated=tuple(already_compensated(told.values, ImuSource[source], told.autopilot)),
         unit=recording.unit,
     )
-
-
-def unit_of(captures: list[Capture], known: str) -> str:
-    """Return the number of the board that all captures are of, `known` what its file says.
-
-    ConfigError where these are several boards; empty where none is told.
-    """
-    units = sorted({known.lower(), *(capture.unit.lower() for capture in captures)} - {""})
-    if len(units) > 1:
-        raise ConfigError(
-            f"the recordings and --out are of several boards ({', '.join(units)}): a calibration "
-            "is of one; give the recordings of one, and --out a file of its own"
-        )
-    return units[0] if units else ""
 
 
 def read_captures(arguments: argparse.Namespace) -> list[Capture]:

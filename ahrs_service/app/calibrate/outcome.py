@@ -15,10 +15,11 @@ from rich.table import Table
 from rich.text import Text
 
 from ahrs_service.app import calibration_file
-from ahrs_service.app.calibrate.capture import Capture, unit_of
+from ahrs_service.app.calibrate.capture import Capture
 from ahrs_service.app.config_file import ConfigError
 from ahrs_service.calibration.triad import NAMES, TriadFit, vector
 from ahrs_service.calibration.verdict import Level, TriadVerdict, Verdict
+from ahrs_service.records import IMU_OF_SOURCE, ImuSource
 from ahrs_service.sensor import provenance
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration
 from ahrs_service.sensor.provenance import Provenance, SourceRecording, Uncertainty
@@ -80,11 +81,7 @@ def updated(
 ) -> Calibration:
     """Return the calibration of `--out`, or an ideal one, with the triads of `fits` in it."""
     path: Path = arguments.out
-    before = calibration_file.load(path) if path.exists() else Calibration.ideal()
-    if before.serial and arguments.serial and before.serial != arguments.serial:
-        raise ConfigError(
-            f"{path}: is of unit {before.serial}, not {arguments.serial}; give another --out"
-        )
+    before = unit_of(arguments, captures)
     triads = {
         name: _triad(path, before, getattr(before, name), fit, degc) for name, fit in fits.items()
     }
@@ -98,14 +95,40 @@ def updated(
         before,
         gyro=triads.get("gyro", before.gyro),
         accel=triads.get("accel", before.accel),
-        serial=arguments.serial or before.serial,
-        uid=unit_of(captures, before.uid),
         verdict=as_stored(verdict, before.verdict),
         provenance=Provenance(
             date=datetime.date.today().isoformat(),
             procedures=tuple(dict.fromkeys((*origin.procedures, verdict.procedure))),
             recordings=tuple(recordings.values()),
         ),
+    )
+
+
+def unit_of(arguments: argparse.Namespace, captures: list[Capture]) -> Calibration:
+    """Return what the file `--out` says so far, else an ideal calibration, of the captures' unit.
+
+    Serial, board and IMU are as told, as the file says, as the recordings tell. ConfigError where
+    they are of different units, for the figures of one harm another.
+    """
+    path: Path | None = arguments.out
+    exists = path is not None and path.exists()
+    before = calibration_file.load(path) if path is not None and exists else Calibration.ideal()
+    serials = {before.serial, arguments.serial} - {""}
+    uids = {before.uid, *(one.unit for one in captures)} - {""}
+    imus = {IMU_OF_SOURCE.get(ImuSource[one.source], 0) for one in captures}
+    imus |= set() if before.imu is None else {before.imu}
+    for what, found in (("units", serials), ("boards", uids), ("IMUs", imus)):
+        if len(found) > 1:
+            names = " and ".join(sorted(str(one) for one in found))
+            raise ConfigError(
+                f"{path or 'the recordings'}: of different {what}, {names}; calibrate one at a "
+                "time, each with an --out of its own"
+            )
+    return dataclasses.replace(
+        before,
+        serial=max(serials, default=""),
+        uid=max(uids, default=""),
+        imu=max(imus, default=None),
     )
 
 

@@ -35,7 +35,6 @@ from rich.table import Table
 
 from ahrs_service.app import calibration_file
 from ahrs_service.app.calibrate import capture, outcome, poses, session
-from ahrs_service.app.config_file import ConfigError
 from ahrs_service.app.options import positive
 from ahrs_service.calibration.thermal import PROCEDURE, ThermalResult, calibrate_thermal
 from ahrs_service.calibration.thermal_guide import guide_thermal
@@ -85,7 +84,7 @@ def calibrate(captures: list[capture.Capture], arguments: argparse.Namespace) ->
     console = Console(stderr=bool(arguments.json))
     for one in captures:
         capture.check_rate(one, LEAST_HZ, "telling rest from motion")
-    room = _room(arguments)
+    room = outcome.unit_of(arguments, captures)
     result = calibrate_thermal(
         [one.columns for one in captures], room, poses.on_autopilot(captures)
     )
@@ -94,7 +93,7 @@ def calibrate(captures: list[capture.Capture], arguments: argparse.Namespace) ->
         console.print(_by_temperature(triad))
     written = None
     if arguments.out is not None and not result.verdict.is_refused:
-        calibration_file.save(arguments.out, _with_origin(result, room, captures, arguments))
+        calibration_file.save(arguments.out, _with_origin(result, room, captures))
         written = str(arguments.out)
         console.print(f"wrote {escape(written)}", highlight=False, soft_wrap=True)
     elif arguments.out is not None:
@@ -116,34 +115,18 @@ def power_ons(path: Path, settings: IntakeSettings) -> list[capture.Capture]:
     return [capture.capture_of(recording, part, settings) for part in held]
 
 
-def _room(arguments: argparse.Namespace) -> Calibration:
-    """Return what the unit's file says so far; ConfigError where it is another unit's."""
-    path: Path | None = arguments.out
-    if path is None or not path.exists():
-        return Calibration.ideal()
-    room = calibration_file.load(path)
-    if room.serial and arguments.serial and room.serial != arguments.serial:
-        raise ConfigError(
-            f"{path}: is of unit {room.serial}, not {arguments.serial}; give another --out"
-        )
-    return room
-
-
 def _with_origin(
     result: ThermalResult,
     room: Calibration,
     captures: list[capture.Capture],
-    arguments: argparse.Namespace,
 ) -> Calibration:
-    """Return the calibration with serial, verdict and where it comes from."""
+    """Return the calibration with verdict and where it comes from."""
     origin = room.provenance
     recordings = {recording.sha256: recording for recording in origin.recordings}
     for one in captures:
         recordings[one.sha256] = SourceRecording(one.path.name, one.sha256, PROCEDURE)
     return dataclasses.replace(
         result.calibration,
-        serial=arguments.serial or room.serial,
-        uid=capture.unit_of(captures, room.uid),
         verdict=outcome.as_stored(result.verdict, room.verdict),
         provenance=Provenance(
             date=datetime.date.today().isoformat(),
