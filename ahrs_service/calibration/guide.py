@@ -4,11 +4,13 @@ Everything is said from the samples so far alone, so a live session and its reco
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from ahrs_service.calibration import multi_pose, six_position
 from ahrs_service.calibration.columns import ImuColumns
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.known_turns import find_turns
@@ -24,7 +26,7 @@ from ahrs_service.calibration.poses import (
     windows_of,
 )
 from ahrs_service.calibration.six_position import FACES, LARGEST_TILT_RAD, faces_of
-from ahrs_service.calibration.triad import ideal
+from ahrs_service.calibration.triad import TriadFit, ideal
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.records import Floats, Rows
 
@@ -86,6 +88,8 @@ def guide_six_position(columns: ImuColumns, with_turns: bool, unit_deg: float = 
     ]
     missing = [face for face, n in zip(FACES, counts, strict=True) if not n]
     asked = f"put it {FACE_WORDS[missing[0]]} ({missing[0]} up) and let go" if missing else ""
+    if not missing:
+        progress.append(_quality(six_position.fit_accelerometer, poses))
     if with_turns and not missing:
         turned, refusal = _turns(columns, poses, unit_deg)
         refusals += refusal
@@ -121,7 +125,10 @@ def guide_multi_pose(columns: ImuColumns, wanted: int = LEAST_POSES) -> Guidance
     return Guidance(
         instruction=asked if count < wanted else "all is there",
         state=_state(columns, poses),
-        progress=(("different poses", f"{count} of {wanted}"),),
+        progress=(
+            ("different poses", f"{count} of {wanted}"),
+            *([_quality(multi_pose.fit_accelerometer, poses)] if count >= LEAST_POSES else []),
+        ),
         refusals=tuple(sorted(refusals, key=lambda refusal: refusal.time_s)),
         coverage=sphere_coverage(up),
         done=count >= wanted,
@@ -154,6 +161,14 @@ def _faces(poses: Rows) -> tuple[Rows, Floats]:
     if not len(poses):
         return np.zeros(0, np.int64), np.zeros(0)
     return faces_of(poses["accel_m_s2"])
+
+
+def _quality(fit: Callable[[Rows], TriadFit], poses: Rows) -> tuple[str, str]:
+    """Say what residual a fit of the poses so far would leave, or why there is none."""
+    try:
+        return "residual of the fit", f"{1e3 * fit(poses).sigma:.1f} mm/s^2"
+    except CalibrationError as error:
+        return "the fit", str(error)
 
 
 def _turns(

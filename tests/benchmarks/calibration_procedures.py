@@ -24,7 +24,7 @@ import numpy as np
 from ahrs_service.app.calibrate.allan import coefficients, longest_still
 from ahrs_service.app.calibrate.capture import read_capture
 from ahrs_service.app.replay_log import replay_log
-from ahrs_service.calibration import known_turns, multi_pose, six_position
+from ahrs_service.calibration import known_turns, multi_pose, pose_turns, six_position
 from ahrs_service.calibration.allan import fit_coefficients
 from ahrs_service.calibration.columns import ImuColumns
 from ahrs_service.calibration.errors import CalibrationError
@@ -101,7 +101,7 @@ def from_many_poses(seed: int, noisy: bool) -> Iterator[tuple[str, Result]]:
     # In the symmetric axes that the norm can know, both matrices are turned alike.
     u, _, vt = np.linalg.svd(np.array(calibration.accel.matrix))
     yield "multi-pose, accel", (accel, *truth_of(calibration.accel, u @ vt), SYMMETRIC)
-    gyro = multi_pose.fit_gyro(columns, poses, accel)
+    gyro = pose_turns.fit_gyro(columns, poses, accel)
     yield "multi-pose, gyro by the turns", (gyro, *truth_of(calibration.gyro, u @ vt), ALL)
 
 

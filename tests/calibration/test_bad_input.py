@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ahrs_service.calibration import known_turns, multi_pose, six_position
+from ahrs_service.calibration import known_turns, multi_pose, pose_turns, six_position
 from ahrs_service.calibration.columns import (
     check_force_unit,
     check_saturation,
@@ -143,7 +143,7 @@ def test_swapped_gyro_axes_are_told_without_a_table(bench, order):
     poses = find_poses(swapped)
     names = ", ".join("xyz"[k] for k in np.argsort(order))
     with pytest.raises(CalibrationError, match=f"whose x, y, z are {names} of the gyro"):
-        multi_pose.fit_gyro(swapped, poses, multi_pose.fit_accelerometer(poses))
+        pose_turns.fit_gyro(swapped, poses, multi_pose.fit_accelerometer(poses))
 
 
 def test_a_mirrored_gyro_axis_is_told_without_a_table(bench):
@@ -151,7 +151,7 @@ def test_a_mirrored_gyro_axis_is_told_without_a_table(bench):
     mirrored = replace(columns, gyro_rad_s=columns.gyro_rad_s * [1.0, -1.0, 1.0])
     poses = find_poses(mirrored)
     with pytest.raises(CalibrationError, match="whose x, y, z are x, -y, z of the gyro"):
-        multi_pose.fit_gyro(mirrored, poses, multi_pose.fit_accelerometer(poses))
+        pose_turns.fit_gyro(mirrored, poses, multi_pose.fit_accelerometer(poses))
 
 
 def test_a_dead_axis_is_told():
@@ -166,4 +166,4 @@ def test_poses_too_near_to_each_other_for_the_gyros_are_told(bench):
     poses = find_poses(columns)
     accel = multi_pose.fit_accelerometer(poses)
     with pytest.raises(CalibrationError, match="2 turns of 20 degrees or more between still poses"):
-        multi_pose.fit_gyro(columns, poses[:3], accel)
+        pose_turns.fit_gyro(columns, poses[:3], accel)

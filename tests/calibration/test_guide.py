@@ -49,6 +49,9 @@ def test_it_leads_through_the_six_faces_and_then_the_turns(bench):
     with_turns = guide_six_position(columns, with_turns=True)
     assert with_turns.done
     assert dict(with_turns.progress)["turns with z vertical"] == "2"
+    residual, unit = dict(with_turns.progress)["residual of the fit"].split()
+    # Means of some three seconds of 0.02 m/s^2 at 100 Hz: 1.2 mm/s^2.
+    assert (0.6 < float(residual) < 2.4, unit) == (True, "mm/s^2")
 
 
 def test_turns_that_are_missing_are_asked_for(bench):

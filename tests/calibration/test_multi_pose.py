@@ -10,10 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from ahrs_service.calibration.multi_pose import (
     fit_accelerometer,
-    fit_gyro,
     judge_accelerometer,
-    judge_gyro,
     norm_residuals,
+)
+from ahrs_service.calibration.pose_turns import (
+    fit_gyro,
+    judge_gyro,
     turn_residuals,
     turns_between,
 )

@@ -23,10 +23,9 @@ from ahrs_service.calibration.guide import guide_multi_pose
 from ahrs_service.calibration.multi_pose import (
     LEAST_POSES,
     fit_accelerometer,
-    fit_gyro,
     judge_accelerometer,
-    judge_gyro,
 )
+from ahrs_service.calibration.pose_turns import fit_gyro, judge_gyro
 from ahrs_service.calibration.verdict import Finding, Level, judge
 
 _WANTED: Final = 18
