@@ -57,7 +57,8 @@ class Refusal:
 class Guidance:
     """What to show: what to do next, what is there, what was refused, and whether all is done.
 
-    `state` says what the unit does now; `progress` names the parts with what they have.
+    `state` says what the unit does now; `progress` names the parts with what they have; `coverage`
+    is the share that is there of what `covers` names.
     """
 
     instruction: str
@@ -66,6 +67,7 @@ class Guidance:
     refusals: tuple[Refusal, ...]
     coverage: float
     done: bool
+    covers: str = "directions covered"
 
 
 def guide_six_position(columns: ImuColumns, with_turns: bool, unit_deg: float = 360.0) -> Guidance:
@@ -123,6 +125,28 @@ def guide_multi_pose(columns: ImuColumns, wanted: int = LEAST_POSES) -> Guidance
         refusals=tuple(sorted(refusals, key=lambda refusal: refusal.time_s)),
         coverage=sphere_coverage(up),
         done=count >= wanted,
+    )
+
+
+def guide_recording(
+    columns: ImuColumns, seconds: float, stillness: Stillness | None = None
+) -> Guidance:
+    """Return how much is missing of `seconds` [s]: at rest by `stillness`, or of any motion."""
+    had_s = float(columns.time_s[-1] - columns.time_s[0]) if len(columns.time_s) else 0.0
+    asked = "go on in steady motion"
+    if stillness is not None:
+        poses = find_poses(columns, stillness)
+        had_s = float((poses["stop_s"] - poses["start_s"]).max(initial=0.0))
+        asked = "leave it alone, on something solid"
+    done = had_s >= seconds
+    return Guidance(
+        instruction="all is there" if done else asked,
+        state=_state(columns, find_poses(columns)),
+        progress=(("recorded", f"{had_s:.0f} of {seconds:.0f} s"),),
+        refusals=(),
+        coverage=min(1.0, had_s / seconds),
+        done=done,
+        covers="recorded",
     )
 
 

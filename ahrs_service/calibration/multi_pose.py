@@ -55,7 +55,7 @@ def fit_accelerometer(poses: Rows, gravity_m_s2: float = STANDARD_GRAVITY_M_S2) 
     count = int(groups_of(directions(force)).max(initial=-1)) + 1
     if count < LEAST_POSES:
         raise CalibrationError(
-            f"{len(poses)} still poses in {count} different directions: take {LEAST_POSES} or "
+            f"{len(poses)} still poses in {count} different direction{'s' * (count != 1)}: take {LEAST_POSES} or "
             "more, each 10 degrees from the others and held still for two seconds on something "
             "solid; tilt the unit against a book for those between the faces"
         )

@@ -37,6 +37,7 @@ POSE_DTYPE: Final[np.dtype[Any]] = np.dtype(
 the means and the scatter (1-sigma) of the samples, and the mean temperature."""
 
 _FALSE_ALARM: Final = 1e-6
+_WANDERS: Final = 0.99
 _LEAST_SAMPLES: Final = 8
 _LEAST_WINDOWS: Final = 5
 _LATTICE: Final = 1000
@@ -238,12 +239,20 @@ def lattice() -> Floats:
 
 
 def rest_bias(poses: Rows) -> tuple[Floats, Floats]:
-    """Return the gyro's mean at rest [3] and its variance [3], poses weighted by their length."""
+    """Return the gyro's mean at rest [3] and its variance [3], poses weighted by their length.
+
+    The variance is that of the mean; where the poses differ by more than their noise explains
+    (99 % of chi-square), the bias wanders, and its variance is how far it wandered: what a mean
+    over the session is good for afterwards.
+    """
     seconds = poses["stop_s"] - poses["start_s"]
     weights = seconds / seconds.sum()
     bias = weights @ poses["gyro_rad_s"]
     scatter = weights @ (poses["gyro_rad_s"] - bias) ** 2
-    return bias, scatter / max(1, len(poses) - 1)
+    spare = max(1, len(poses) - 1)
+    noise = weights @ poses["gyro_error_rad_s"] ** 2
+    wanders = scatter > noise * chi2.ppf(_WANDERS, spare) / spare
+    return bias, np.where(wanders, scatter, scatter / spare)
 
 
 def span_of(poses: Rows) -> tuple[float, float] | None:

@@ -168,9 +168,9 @@ def test_an_interrupted_session_loses_nothing(clumsy, tmp_path, capsys):
         process.kill()
         os.close(master)
     assert process.returncode == 130
-    assert "put it nose up (+x up) and let go" in screen.decode()
-    assert "directions covered" in screen.decode()
-    assert str(tlog) in rest.decode().replace("\r\n", "")
+    assert "put it nose up (+x up) and let go" in screen.decode(errors="replace")
+    assert "directions covered" in screen.decode(errors="replace")
+    assert str(tlog) in rest.decode(errors="replace").replace("\r\n", "")
     assert not any(read_tlog(tlog).damaged.values())
     assert main(["calibrate", "six-position", str(tlog)]) == 1
     told = capsys.readouterr().err

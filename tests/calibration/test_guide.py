@@ -7,8 +7,12 @@ import numpy as np
 import pytest
 
 from ahrs_service.calibration.columns import ImuColumns
-from ahrs_service.calibration.guide import guide_multi_pose, guide_six_position
-from ahrs_service.calibration.poses import find_poses
+from ahrs_service.calibration.guide import (
+    guide_multi_pose,
+    guide_recording,
+    guide_six_position,
+)
+from ahrs_service.calibration.poses import Stillness, find_poses
 
 NOTHING = ImuColumns(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
 
@@ -129,3 +133,14 @@ def test_a_pose_that_is_pushed_is_refused(bench):
     force[place] *= 1.08
     (refusal,) = guide_multi_pose(replace(columns, accel_m_s2=force)).refusals
     assert "is it being pushed or shaken?" in refusal.why
+
+
+def test_a_recording_at_rest_counts_its_longest_rest_only(bench):
+    columns, _ = bench("six-position", 110.0)
+    guidance = guide_recording(columns, 60.0, Stillness())
+    assert not guidance.done
+    assert guidance.instruction.startswith("leave it alone")
+    assert guidance.coverage < 0.1
+    anyhow = guide_recording(columns, 60.0)
+    assert anyhow.done
+    assert guide_recording(NOTHING, 60.0, Stillness()).coverage == 0.0

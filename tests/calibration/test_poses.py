@@ -17,6 +17,7 @@ from ahrs_service.calibration.poses import (
     sphere_coverage,
     windows_of,
 )
+from tests.calibration.conftest import poses_of
 
 
 def still(seconds=20.0, rate_hz=100.0, seed=1, gyro_sigma=1e-3, accel_sigma=2e-2, up=(0, 0, -9.8)):
@@ -150,3 +151,23 @@ def test_the_bias_at_rest_is_the_mean_over_time(bench):
     truth = np.array(flight.calibration.gyro.bias)
     assert (np.abs(bias - truth) < 4.0 * np.sqrt(variance)).all()
     assert (np.sqrt(variance) < 1e-4).all()
+
+
+def test_a_bias_that_wanders_is_known_as_far_as_it_wandered():
+    rng = np.random.default_rng(4)
+    noise, wander, errors = 1e-5, 3e-4, []
+    for wandering in (False, True):
+        squares = []
+        for _ in range(200):
+            walk = rng.normal(0.0, wander, (20, 3)) if wandering else 0.0
+            poses = poses_of(np.tile([0.0, 0.0, -9.8], (20, 1)))
+            poses["gyro_rad_s"] = walk + rng.normal(0.0, noise, (20, 3))
+            poses["gyro_error_rad_s"] = noise
+            bias, variance = rest_bias(poses)
+            # Of the session after: another draw of the wander, or the mean that was looked for.
+            later = rng.normal(0.0, wander, 3) if wandering else np.zeros(3)
+            squares.append((bias - later) ** 2 / variance)
+        errors.append(np.mean(squares))
+    white, wandering = errors
+    assert white == pytest.approx(1.0, abs=0.25)
+    assert wandering == pytest.approx(20 / 19 * (1 + 1 / 20), abs=0.25)

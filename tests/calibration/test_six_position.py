@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from scipy.stats import f as f_distribution
 
 from ahrs_service.calibration import known_turns
 from ahrs_service.calibration.poses import find_poses
@@ -82,7 +83,9 @@ def test_full_circles_give_the_gyros(bench):
     gyro = known_turns.fit_gyro(poses, turns)
     truth = flight.calibration.gyro
     error = (gyro.matrix - truth.matrix).ravel()
-    assert error @ np.linalg.solve(gyro.covariance[:9, :9], error) < chi2.ppf(0.999, 9) * 3
+    # Nine parameters of eighteen sums leave nine degrees of freedom to sigma.
+    limit = 9 * f_distribution.ppf(0.999, 9, 9)
+    assert error @ np.linalg.solve(gyro.covariance[:9, :9], error) < limit
     assert np.abs(error).max() < 5e-4
     assert gyro.bias == pytest.approx(truth.bias, abs=1e-4)
     triad = known_turns.judge_gyro(poses, turns, gyro)

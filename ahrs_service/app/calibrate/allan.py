@@ -8,12 +8,14 @@ given as its upper bound (<). Autopilots filter what they send, which lowers sho
 Examples:
   ahrs-service calibrate allan bench.tlog --figure allan.png
   ahrs-service calibrate allan bench.bin --json
+  ahrs-service calibrate allan --link serial:/dev/ttyACM0:115200 --seconds 3600
 
 """
 
 import argparse
 import json
 import math
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,7 +25,8 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from ahrs_service.app.calibrate import capture
+from ahrs_service.app.calibrate import capture, session
+from ahrs_service.app.options import positive
 from ahrs_service.calibration.allan import (
     AllanDeviation,
     NoiseCoefficients,
@@ -32,11 +35,13 @@ from ahrs_service.calibration.allan import (
 )
 from ahrs_service.calibration.columns import AXES, ImuColumns, check_stream_unit
 from ahrs_service.calibration.errors import CalibrationError
+from ahrs_service.calibration.guide import guide_recording
 from ahrs_service.calibration.poses import Stillness, find_poses, resolution
 from ahrs_service.records import Floats
 
 EXIT_DONE: Final = 0
 _DRIFT_K: Final = 1.0
+_SECONDS: Final = 600.0
 _COEFFICIENTS: Final = ("random_walk", "bias_instability", "rate_random_walk", "quantisation")
 _UNITS: Final = {
     "gyro": ("rad/s", "rad/√s", "rad/s", "rad/s/√s", "rad"),
@@ -48,16 +53,30 @@ _NOISE: Final = Stillness(scatter=math.inf, gyro_cap_rad_s=0.05, accel_cap_m_s2=
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `calibrate allan`."""
-    capture.add_arguments(parser, many=False)
+    capture.add_arguments(parser)
+    session.add_arguments(parser)
+    parser.add_argument(
+        "--seconds",
+        type=positive,
+        default=_SECONDS,
+        metavar="S",
+        help=f"how long a session on a link records at rest (default: {_SECONDS:g})",
+    )
     parser.add_argument("--figure", type=Path, metavar="FILE", help="draw the curves (.png)")
     parser.add_argument("--json", action="store_true", help="end with one line of JSON on stdout")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Show the deviations of each recording; return the exit code."""
+    """Show the deviations of recordings or of a session; return the exit code."""
+    guide = partial(guide_recording, seconds=arguments.seconds, stillness=_NOISE)
+    return session.run(arguments, guide, show)
+
+
+def show(captures: list[capture.Capture], arguments: argparse.Namespace) -> int:
+    """Show the deviations of each recording."""
     console = Console(stderr=bool(arguments.json))
     plain = []
-    for one in capture.read_captures(arguments):
+    for one in captures:
         still = longest_still(one.columns)
         curves = deviations(still)
         found = coefficients(still)

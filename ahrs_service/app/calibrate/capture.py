@@ -51,11 +51,9 @@ class Capture:
     unit: str = ""
 
 
-def add_arguments(parser: argparse.ArgumentParser, many: bool = True) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the recordings and what chooses the samples in them."""
-    parser.add_argument(
-        "recordings", nargs="*" if many else "+", type=Path, metavar="RECORDING", help=KNOWN
-    )
+    parser.add_argument("recordings", nargs="*", type=Path, metavar="RECORDING", help=KNOWN)
     parser.add_argument(
         "--imu",
         default="auto",

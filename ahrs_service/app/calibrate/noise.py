@@ -10,12 +10,14 @@ The result is the section [gate_budget] of a settings file.
 Examples:
   ahrs-service calibrate noise flight.bin
   ahrs-service calibrate noise flight.tlog --from 120 --to 300 --json
+  ahrs-service calibrate noise --link udpin:127.0.0.1:14550 --seconds 60
 
 """
 
 import argparse
 import json
 import math
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -24,22 +26,32 @@ from rich.table import Table
 from rich.text import Text
 
 from ahrs_service.app import options
-from ahrs_service.app.calibrate import capture
+from ahrs_service.app.calibrate import capture, session
 from ahrs_service.app.calibrate.allan import longest_still
 from ahrs_service.app.config_file import ConfigError
 from ahrs_service.app.replay_log import replay_log
 from ahrs_service.calibration.allan import overlapping_deviation, random_walk_at
 from ahrs_service.calibration.columns import AXES, ImuColumns
 from ahrs_service.calibration.errors import CalibrationError
+from ahrs_service.calibration.guide import guide_recording
 from ahrs_service.calibration.noise import GateNoise, gate_noise
 from ahrs_service.records import Rows
 
 EXIT_DONE: Final = 0
+_SECONDS: Final = 120.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `calibrate noise`."""
-    capture.add_arguments(parser, many=False)
+    capture.add_arguments(parser)
+    session.add_arguments(parser)
+    parser.add_argument(
+        "--seconds",
+        type=options.positive,
+        default=_SECONDS,
+        metavar="S",
+        help=f"how long a session on a link records (default: {_SECONDS:g})",
+    )
     parser.add_argument(
         "--from", dest="begin", type=float, metavar="S", help="steady from here on [s since start]"
     )
@@ -49,13 +61,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Show S() of each recording; return the exit code."""
-    if len(arguments.recordings) > 1 and (arguments.begin or arguments.end):
+    """Show S() of recordings or of a session; return the exit code."""
+    return session.run(arguments, partial(guide_recording, seconds=arguments.seconds), show)
+
+
+def show(captures: list[capture.Capture], arguments: argparse.Namespace) -> int:
+    """Show S() of each recording."""
+    if len(captures) > 1 and (arguments.begin or arguments.end):
         raise ConfigError("--from and --to are of one recording: give one")
     settings = options.settings_of(arguments) if options.has_settings(arguments) else None
     console = Console(stderr=bool(arguments.json))
     plain = []
-    for one in capture.read_captures(arguments):
+    for one in captures:
         estimates = replay_log(one.path, settings).estimates
         found = gate_noise(estimates, _chosen(estimates, arguments))
         densities = noise_densities(one.columns)

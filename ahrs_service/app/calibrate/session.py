@@ -145,9 +145,10 @@ class Session:
 
     async def _look(self) -> None:
         """Look at what came, now and then, until nothing is missing."""
-        asked = False
+        asked, took_s = False, 0.0
         while not self._guidance.done:
-            await asyncio.sleep(_LOOK_S)
+            # A long session takes longer to look through; the link must not wait for it.
+            await asyncio.sleep(max(_LOOK_S, 4.0 * took_s))
             if self._daemon.component.system and not asked:
                 # The answers are recorded, and tell what the autopilot takes off its samples.
                 asked = True
@@ -155,8 +156,10 @@ class Session:
                 self._daemon.send(dialect.MAVLink_param_request_list_message(system, component))
             if self._count > self._seen:
                 self._seen = self._count
+                begin_s = time.monotonic()
                 columns, _ = columns_of(self._readings[: self._count], self._intake)
                 self._guidance = self._guide(columns)
+                took_s = time.monotonic() - begin_s
                 if not self.console.is_terminal:
                     self._say_what_is_new()
         self._daemon.stop()
@@ -189,7 +192,7 @@ def guidance_panel(guidance: Guidance) -> Panel:
         table.add_row(name, Text(what, style="dim" if what in ("-", "0") else "green"))
     coverage = Table.grid(padding=(0, 2))
     bar = ProgressBar(total=1.0, completed=guidance.coverage, width=30)
-    coverage.add_row("directions covered", bar, f"{guidance.coverage:.0%}")
+    coverage.add_row(guidance.covers, bar, f"{guidance.coverage:.0%}")
     parts: list[Text | Table] = [head, Text(), table, coverage]
     for refusal in guidance.refusals[-_SHOWN:]:
         parts.append(Text(f"refused at {refusal.time_s:.0f} s: {refusal.why}", style="red"))
