@@ -175,11 +175,11 @@ def tables(path: Path, calibration: Calibration) -> list[Table]:
 def _triad_table(calibration: Calibration, name: str, triad: TriadCalibration) -> Table:
     unit, factor = _UNITS[name]
     table = Table(title=_triad_title(name, triad), title_justify="left")
-    for head in ("axis", f"bias [{unit}]", "scale [%]", "matrix, row [1]"):
+    for head in ("axis", escape(f"bias [{unit}]"), "scale [%]", "matrix, row [1]"):
         table.add_column(head, justify="left" if head == "axis" else "right")
-    table.add_column(f"bias over temperature [{unit}]", justify="right")
+    table.add_column(escape(f"bias over temperature [{unit}]"), justify="right")
     table.add_column("scale over temperature [%]", justify="right")
-    table.add_column(f"bias left [{unit}]", justify="right")
+    table.add_column(escape(f"bias left [{unit}]"), justify="right")
     bias, scale = response(calibration, name, _temperatures(calibration))
     left = triad.uncertainty.bias_residual
     for i, axis in enumerate("xyz"):

@@ -139,7 +139,7 @@ def _with_origin(
 def _by_temperature(triad: TriadVerdict) -> Table:
     scale, unit = _SHOWN[triad.triad]
     table = Table(
-        title=f"{triad.triad}: RMS residual by temperature [{unit}]", title_justify="left"
+        title=escape(f"{triad.triad}: RMS residual by temperature [{unit}]"), title_justify="left"
     )
     for head in ("degC", "means", "x", "y", "z"):
         table.add_column(head, justify="right")
