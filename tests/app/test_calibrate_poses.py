@@ -99,7 +99,7 @@ def test_a_file_of_another_unit_is_left_alone(recordings, calibrate, tmp_path):
     before = out.read_bytes()
     code, _, said = calibrate(*words, "B8")
     assert code == 2
-    assert "is of unit A7, not B8" in " ".join(said.split())
+    assert "of different units, A7 and B8" in " ".join(said.split())
     assert out.read_bytes() == before
 
 

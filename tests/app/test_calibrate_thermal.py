@@ -138,7 +138,7 @@ def test_what_the_room_told_stays(recordings, thermal, tmp_path):
     assert found.gyro.bias == pytest.approx(TRUTH.gyro.bias, abs=2e-4)
     code, _, said = thermal(recordings / "wide.tlog", "--out", out, "--serial", "B8")
     assert code == 2
-    assert "is of unit A7, not B8" in said
+    assert "of different units, A7 and B8" in said
 
 
 def test_sessions_show_how_the_bias_repeats(recordings, thermal, tmp_path):
