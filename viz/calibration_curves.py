@@ -78,7 +78,7 @@ def _draw_panel(axes: "Axes", temperature: Floats, curves: Curves) -> None:
     text = "does not change with temperature"
     if curves.span_degc is not None:
         low_degc, high_degc = curves.span_degc
-        text = f"calibrated {low_degc:g} to {high_degc:g} °C, held beyond"
+        text = f"calibrated {low_degc:.3g} to {high_degc:.3g} °C, held beyond"
         for first, last in ((temperature[0], low_degc), (high_degc, temperature[-1])):
             axes.axvspan(first, last, color="#888888", alpha=0.18, linewidth=0.0)
     band = "" if curves.sigma is None else "; band ± 1 sigma"

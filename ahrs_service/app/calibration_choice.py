@@ -29,7 +29,7 @@ class Choice:
         for name, triad in (("gyro", known.gyro), ("accel", known.accel)):
             if triad.span_degc is not None:
                 low, high = triad.span_degc
-                parts.append(f"{name} {low:g} to {high:g} degC")
+                parts.append(f"{name} {low:.3g} to {high:.3g} degC")
         doubt = "" if known.verdict.usable else "; its verdict says DO NOT USE, forced"
         return f"calibration {self.path}: {', '.join(parts)}{doubt}"
 

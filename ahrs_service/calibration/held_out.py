@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from ahrs_service.records import Floats, Integers
 Fit = Callable[[ThermalRows, float], tuple[Axes, float] | None]
 """Curves and lag [s] for some rows and a zero temperature, None where they cannot be fitted."""
 
-TENTHS = 10
+TENTHS: Final = 10
 
 
 @dataclass(frozen=True, slots=True)

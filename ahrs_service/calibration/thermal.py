@@ -19,6 +19,7 @@ from ahrs_service.calibration.columns import (
     check_saturation,
     check_temperature,
 )
+from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.held_out import HeldOut, hold_out
 from ahrs_service.calibration.smooth_thermal import SmoothFit, fit_smooth, smooth_calibration
 from ahrs_service.calibration.thermal_poses import joined, still_rows
@@ -43,7 +44,7 @@ LEAST_SPAN_K: Final = 2.0
 """Below this a recording shows the sensor's noise and no temperature [K]."""
 BIN_DEGC: Final = 5.0
 
-_SIGMA_NODES: Final = 24
+_SIGMA_NODES: Final = 8
 _SIGNIFICANT: Final = 3.0
 _LARGEST_LOOP: Final = 0.1
 """Share of the drift that heating and cooling may differ by without a warning."""
@@ -79,12 +80,7 @@ def calibrate_thermal(
 
     `room` is what is known of the unit already. CalibrationError says what is wrong with the data.
     """
-    parts = []
-    for number, columns in enumerate(sessions):
-        check_saturation(columns)
-        check_temperature(columns.temperature_degc)
-        check_force_unit(columns.accel_m_s2)
-        parts.append(still_rows(columns, number))
+    parts, skipped = _still(sessions)
     check_temperature(
         np.concatenate([part[0].temperature_degc for part in parts]), least_span_k=LEAST_SPAN_K
     )
@@ -103,6 +99,7 @@ def calibrate_thermal(
     triads = (_judge("gyro", gyro), _judge("accel", accel))
     findings = (
         *remarks,
+        *skipped,
         span_finding(rows["gyro"].span_degc),
         *_on_room(room, zero_degc),
         *_on_triad("gyro", gyro),
@@ -110,6 +107,24 @@ def calibrate_thermal(
         *_on_poses(accel),
     )
     return ThermalResult(calibration, gyro, accel, judge(PROCEDURE, triads, findings))
+
+
+def _still(
+    sessions: list[ImuColumns],
+) -> tuple[list[tuple[ThermalRows, ThermalRows]], list[Finding]]:
+    """Return the still rows of the sessions that have any, and what is said of the others."""
+    parts, skipped = [], []
+    for number, columns in enumerate(sessions):
+        check_saturation(columns)
+        check_temperature(columns.temperature_degc)
+        check_force_unit(columns.accel_m_s2)
+        try:
+            parts.append(still_rows(columns, number))
+        except CalibrationError as error:
+            skipped.append(error)
+    if not parts:
+        raise skipped[0]
+    return parts, [Finding(Level.NOTE, f"a power-on is left out: {error}") for error in skipped]
 
 
 def _zero(room: Calibration, span_degc: tuple[float, float]) -> float:
@@ -200,7 +215,8 @@ def _by_temperature(rows: ThermalRows, residual: Floats) -> tuple[TemperatureRes
 def _on_room(room: Calibration, zero_degc: float) -> list[Finding]:
     """Say where matrix and bias of the room meet the drift."""
     gap = abs(room.room_degc - zero_degc)
-    if gap < 1.0 or room == Calibration.ideal():
+    ideal = Calibration.ideal()
+    if gap < 1.0 or (room.gyro, room.accel) == (ideal.gyro, ideal.accel):
         return []
     text = (
         f"the drift is counted from {zero_degc:.0f} degC, for {room.room_degc:.0f} degC, where "
@@ -218,8 +234,8 @@ def _on_triad(name: str, result: TriadResult) -> list[Finding]:
         text = f"{name}: no drift stands out of the noise, so none is taken off"
         findings.append(Finding(Level.WARNING, text))
     if lag.is_told:
-        who = "elements follow the thermometer" if lag.lag_s > 0.0 else "thermometer follows"
-        text = f"{name}: {who} by {abs(lag.lag_s):.0f} s ({lag.low_s:.0f} to {lag.high_s:.0f})"
+        late = "elements follow thermometer" if lag.lag_s > 0.0 else "thermometer follows elements"
+        text = f"{name}: {late} by {abs(lag.lag_s):.0f} s ({lag.low_s:.0f} to {lag.high_s:.0f})"
         findings.append(Finding(Level.NOTE, text))
     else:
         text = f"{name}: a lag of the thermometer does not show, none is assumed"
@@ -252,9 +268,9 @@ def _on_poses(accel: TriadResult) -> list[Finding]:
     count = accel.fit.rows.levels
     if any(one.kind for one in accel.fit.structures):
         return []
-    noun = "pose" if count == 1 else "poses"
+    poses = "one pose does" if count == 1 else f"{count} poses do"
     text = (
-        f"accel: {count} {noun} do not tell what temperature does to scale and axes; repeat the "
-        "run in poses all around to have it"
+        f"accel: {poses} not tell what temperature does to scale and axes; repeat the run in "
+        "poses all around to have it"
     )
     return [Finding(Level.NOTE, text)]

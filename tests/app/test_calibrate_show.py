@@ -70,7 +70,7 @@ def test_the_command_prints_draws_and_writes(tmp_path, capsys):
     png, rrd = tmp_path / "unit.png", tmp_path / "unit.rrd"
     assert main(["calibrate", "show", str(SHIPPED), "--png", str(png), "--rrd", str(rrd)]) == 0
     shown = capsys.readouterr().out
-    for words in ("SIM-1", "usable", "-10 to 70 degC", "improved", f"wrote {png}"):
+    for words in ("SIM-1", "usable", "-10 to 70 degC", "improved", "[deg/s]", f"wrote {png}"):
         assert words in shown
     with Image.open(png) as picture:
         pixels = np.asarray(picture.convert("RGB")).reshape(-1, 3)

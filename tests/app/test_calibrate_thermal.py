@@ -138,7 +138,7 @@ def test_what_the_room_told_stays(recordings, thermal, tmp_path):
     assert found.gyro.bias == pytest.approx(TRUTH.gyro.bias, abs=2e-4)
     code, _, said = thermal(recordings / "wide.tlog", "--out", out, "--serial", "B8")
     assert code == 2
-    assert "is of unit A7, not B8" in said
+    assert "of different units, A7 and B8" in said
 
 
 def test_sessions_show_how_the_bias_repeats(recordings, thermal, tmp_path):
@@ -161,3 +161,28 @@ def test_a_real_warm_up_of_five_degrees_is_refused(thermal, shared):
     assert plain["words"].startswith("do not use: span 5 degC, from 37 to 42")
     gyro = plain["verdict"]["triads"][0]
     assert gyro["held_out_after"] < gyro["held_out_before"]
+
+
+def test_a_real_log_of_three_power_ons_gives_a_calibration(thermal, shared, tmp_path):
+    """Its clock jumps back twice; one power-on is a flight, the others warm up by 10 degC."""
+    path = shared / "flights" / "copter_swarm_2021-12-02_three_sessions_time_jumps.tlog"
+    out = tmp_path / "swarm.toml"
+    code, plain, said = thermal(path, "--imu", "RAW_IMU", "--out", out, "--json")
+    assert code == 0
+    assert "a power-on is left out" in said
+    assert [one["name"] for one in plain["recordings"]] == [path.name] * 3
+    for triad in plain["verdict"]["triads"]:
+        assert triad["held_out_after"] < 0.5 * triad["held_out_before"]
+    calibration = calibration_file.load(out)
+    assert calibration.gyro.span_degc == pytest.approx((32.6, 43.0), abs=0.1)
+    assert len(calibration.provenance.recordings) == 1
+
+
+def test_a_calibration_is_of_one_board(thermal, shared):
+    logs = (
+        "bench_cuav_2021-12-08_static_warmup_2hz.tlog",
+        "rov_bluerov2_2023-05-04_warmup_att20hz.tlog",
+    )
+    code, _, said = thermal(*(shared / "flights" / log for log in logs))
+    assert code == 2
+    assert "of different boards" in said

@@ -19,6 +19,7 @@ alone. The verdict is the product's: it refuses less than 10 degC of span, whate
 import argparse
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,7 @@ from rich.console import Console
 from rich.table import Table
 from thermal_recordings import Series, Silent, every_series
 
-from ahrs_service.calibration.held_out import fit_chosen, hold_out
+from ahrs_service.calibration.held_out import TENTHS, HeldOut, fit_chosen, hold_out
 from ahrs_service.calibration.smooth_drift import Structure
 from ahrs_service.calibration.smooth_thermal import Axes, fit_curves, fit_smooth
 from ahrs_service.calibration.thermal_rows import ThermalRows
@@ -88,24 +89,65 @@ def splits(rows: ThermalRows) -> Iterator[tuple[str, Floats | None]]:
         yield "session", rows.session
 
 
-def describe(series: Series, split: str, part: Floats | None) -> tuple[list[str], dict[str, float]]:
-    """The row of the table for one way to hold out, and each model's figure relative to none."""
-    rows, scale = series.rows, series.scale
-    zero = float(np.median(rows.temperature_degc))
-    found = {name: hold_out(rows, zero, fit, part) for name, fit in MODELS.items()}
-    ours = found["ours"]
-    assert ours is not None
-    low, high = rows.span_degc
-    level = span_finding(rows.span_degc).level
-    cells = [series.name, series.triad, series.unit, f"{low:.1f}..{high:.1f}", split]
-    cells.append(per_axis(ours.before, scale))
-    cells.append(per_axis(ours.after, scale))
-    cells.append(f"{ours.rms()[0] / scale:.3f}")
-    for held in found.values():
-        cells.append("-" if held is None else f"{held.rms()[1] / scale:.3f}")
-    cells.append("refused" if level is Level.REFUSAL else "use")
-    figures = {name: held.rms()[1] / held.rms()[0] for name, held in found.items() if held}
-    return cells, figures
+@dataclass(frozen=True)
+class Result:
+    """One way to hold out rows of one series: what each model leaves of them, None if it cannot."""
+
+    series: Series
+    split: str
+    held: dict[str, HeldOut | None]
+
+    @property
+    def span_degc(self) -> float:
+        """Temperature from the lowest to the highest."""
+        return float(np.ptp(self.series.rows.temperature_degc))
+
+    def against(self, other: str) -> tuple[float, float] | None:
+        """Log ratio of our RMS to that of another model, or of `before`, and its standard error."""
+        ours, theirs = self.held["ours"], self.held["ours" if other == "before" else other]
+        if ours is None or theirs is None:
+            return None
+        return log_ratio(ours.after, theirs.before if other == "before" else theirs.after)
+
+    def cells(self) -> list[str]:
+        """The row of the table."""
+        series, ours = self.series, self.held["ours"]
+        assert ours is not None
+        low, high = series.rows.span_degc
+        refused = span_finding(series.rows.span_degc).level is Level.REFUSAL
+        ratio = self.against("PX4")
+        return [
+            series.name,
+            series.triad,
+            series.unit,
+            f"{low:.1f}..{high:.1f}",
+            self.split,
+            per_axis(ours.before, series.scale),
+            per_axis(ours.after, series.scale),
+            f"{ours.rms()[0] / series.scale:.3f}",
+            *("-" if x is None else f"{x.rms()[1] / series.scale:.3f}" for x in self.held.values()),
+            "-" if ratio is None else f"{np.exp(ratio[0]):.2f} ±{ratio[1]:.2f}",
+            "refused" if refused else "use",
+        ]
+
+
+def log_ratio(ours: Floats, theirs: Floats) -> tuple[float, float]:
+    """Log ratio of two RMS of the same rows, and its standard error.
+
+    By the jackknife over tenths of the time (Efron and Tibshirani, An Introduction to the
+    Bootstrap, ch. 11): the models err alike, and so do neighbours in time.
+    """
+    tenth = np.arange(len(ours)) * TENTHS // len(ours)
+    squares = [
+        np.array([(rest[tenth == n] ** 2).sum() for n in np.unique(tenth)])
+        for rest in (ours, theirs)
+    ]
+    whole, *parts = (
+        0.5 * np.log((squares[0].sum() - out[0]) / (squares[1].sum() - out[1]))
+        for out in [(0.0, 0.0), *zip(*squares, strict=True)]
+    )
+    count = len(parts)
+    return float(whole), float(np.std(parts) * np.sqrt(count - 1.0))
 
 
 def per_axis(rest: Floats, scale: float) -> str:
@@ -113,7 +155,7 @@ def per_axis(rest: Floats, scale: float) -> str:
     return " ".join(f"{x / scale:.2f}" for x in np.sqrt(np.mean(rest**2, axis=0)))
 
 
-def summary(rows: list[tuple[str, float, dict[str, float]]], console: Console) -> None:
+def summary(results: list[Result], console: Console) -> None:
     """Print how often and by how much ours is better than the cubics, by way to hold out."""
     for split, least_k in (
         ("tenths", NOTHING_K),
@@ -122,20 +164,17 @@ def summary(rows: list[tuple[str, float, dict[str, float]]], console: Console) -
         ("session", NOTHING_K),
     ):
         console.print(f"{split}, spans of {least_k:g} degC or more:")
+        chosen = [one for one in results if one.split == split and one.span_degc >= least_k]
         for other in ("before", "ArduPilot", "PX4"):
-            pairs = [
-                (figures["ours"], figures.get(other, 1.0))
-                for name, span, figures in rows
-                if name == split and (other in figures or other == "before") and span >= least_k
-            ]
+            pairs = [pair for pair in (one.against(other) for one in chosen) if pair is not None]
             if not pairs:
                 continue
-            ratio = np.exp(np.mean(np.log([ours / cubic for ours, cubic in pairs])))
-            better = sum(ours < cubic for ours, cubic in pairs)
-            within = sum(ours < 1.01 * cubic for ours, cubic in pairs)
+            ratios, errors = np.array(pairs).T
+            mean, error = ratios.mean(), np.sqrt(np.sum(errors**2)) / len(pairs)
             console.print(
-                f"  ours / {other:9} geometric mean {ratio:.3f}; better in {better}, "
-                f"better or within 1 % in {within} of {len(pairs)}"
+                f"  ours / {other:9} geometric mean {np.exp(mean):.3f} ±{error:.3f}; better in "
+                f"{(ratios < 0.0).sum()} of {len(pairs)}; told apart (2 sigma): better "
+                f"{(ratios < -2.0 * errors).sum()}, worse {(ratios > 2.0 * errors).sum()}"
             )
 
 
@@ -146,30 +185,31 @@ def main() -> int:
     )
     parser.add_argument("--data", type=Path, default=SHARED_DATA / "flights", metavar="DIR")
     data = require_data(parser.parse_args().data, "the flight recordings")
-    console = Console(width=170)
+    console = Console(width=185)
     table = Table(title="RMS of held-out rows")
     for head in ("recording", "triad", "unit", "degC", "held out", "before x y z", "ours x y z"):
         table.add_column(head, no_wrap=True)
-    for head in ("before", *MODELS, "verdict"):
+    for head in ("before", *MODELS, "ours / PX4", "verdict"):
         table.add_column(head, justify="right")
-    silent, figures = [], []
+    results: list[Result] = []
+    remarks = []
     for series in every_series(data):
         if isinstance(series, Silent):
-            silent.append(series)
+            remarks.append(f"{series.name}: {series.reason}")
             continue
-        span = float(np.ptp(series.rows.temperature_degc))
+        zero = float(np.median(series.rows.temperature_degc))
         for split, part in splits(series.rows):
-            cells, relative = describe(series, split, part)
-            table.add_row(*cells)
-            figures.append((split, span, relative))
-        lag = fit_smooth(series.rows, float(np.median(series.rows.temperature_degc))).lag
+            held = {name: hold_out(series.rows, zero, fit, part) for name, fit in MODELS.items()}
+            results.append(Result(series, split, held))
+            table.add_row(*results[-1].cells())
+        lag = fit_smooth(series.rows, zero).lag
         if lag.is_told:
-            silent.append(Silent(f"{series.name} {series.triad}", f"lag {lag.lag_s:.0f} s told"))
+            remarks.append(f"{series.name} {series.triad}: a lag of {lag.lag_s:.0f} s is told")
     console.print(table)
     console.print("recordings that say nothing, and lags that were told:")
-    for one in silent:
-        console.print(f"  {one.name}: {one.reason}", soft_wrap=True)
-    summary(figures, console)
+    for text in remarks:
+        console.print(f"  {text}", soft_wrap=True)
+    summary(results, console)
     return 0
 
 

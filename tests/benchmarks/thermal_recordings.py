@@ -22,7 +22,7 @@ from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.thermal_poses import joined, still_rows
 from ahrs_service.calibration.thermal_rows import ThermalRows
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.records import ImuSource, Kind, Rows
+from ahrs_service.records import Floats, ImuSource, Kind, Rows
 from links.dataflash_tables import read_tables
 from links.recording_formats import read_recording
 
@@ -40,6 +40,7 @@ FLIGHTS = {
     "log0036": "copter_pixhawk_log0036_crash_temp.bin",
     "log0039": "copter_pixhawk_log0039_temp.bin",
     "cuav mission": "copter_cuav_2021-12-02_mission_1hz.tlog",
+    "swarm flight": BENCHES["swarm"],
 }
 ATTITUDES = {
     "log0036": FLIGHTS["log0036"],
@@ -56,7 +57,7 @@ _CHAMBER_ROW = 100
 _QUIET = 3.0
 _SLOW_RAD_S = 4e-3
 _AROUND = 61
-_LARGEST_NOISE = {"gyro": 0.03, "accel": 0.3}
+LARGEST_NOISE = {"gyro": 0.03, "accel": 0.3}
 """Two IMUs that differ by more than this have not been sampled at like instants [SI]."""
 
 
@@ -103,15 +104,17 @@ def _imus(path: Path) -> list[tuple[str, list[ImuColumns]]]:
     if path.suffix == ".bin":
         return _dataflash_imus(path)
     readings = read_recording(path).readings
+    readings = readings[readings["kind"] == Kind.IMU]
     found = []
     for source in (ImuSource.RAW_IMU, ImuSource.SCALED_IMU2):
-        rows = readings[(readings["kind"] == Kind.IMU) & (readings["source"] == source)]
+        rows = readings[readings["source"] == source]
         if not len(rows):
             continue
-        time = (rows["time_ns"] - rows["time_ns"][0]) * 1e-9
+        # Both count from the autopilot's start: one origin keeps like instants alike.
+        time = (rows["time_ns"] - readings["time_ns"][0]) * 1e-9
         cuts = np.flatnonzero(np.diff(time) < 0.0) + 1
         columns = [
-            ImuColumns(t - t[0], r["gyro_rad_s"], r["accel_m_s2"], r["temperature_degc"])
+            ImuColumns(t, r["gyro_rad_s"], r["accel_m_s2"], r["temperature_degc"])
             for t, r in zip(np.split(time, cuts), np.split(rows, cuts), strict=True)
         ]
         found.append((f"IMU{_FIRST[source]}", columns))
@@ -232,23 +235,27 @@ def _difference(name: str, imus: list[tuple[str, list[ImuColumns]]]) -> Iterator
     """The first IMU's output minus the second's, over windows of a second, all of the flight."""
     (_, (first, *_)), (_, (second, *_)) = imus
     size = max(1, round(1.0 / first.interval_s))
-    for triad, unit, scale in (("gyro", "mrad/s", MRAD_S), ("accel", "mg", MILLI_G)):
-        field = "gyro_rad_s" if triad == "gyro" else "accel_m_s2"
-        one, two = getattr(first, field), getattr(second, field)
-        other = np.stack(
-            [np.interp(first.time_s, second.time_s, two[:, axis]) for axis in range(3)], axis=1
-        )
-        count = len(one) // size
-        shape = (count, size)
-        difference = (one - other)[: count * size].reshape(*shape, 3).mean(axis=1)
-        temperature = first.temperature_degc[: count * size].reshape(shape).mean(axis=1)
-        time = first.time_s[: count * size].reshape(shape).mean(axis=1)
+    time, temperature = (_means(x, size) for x in (first.time_s, first.temperature_degc))
+    keep = np.isfinite(temperature)
+    nil = np.zeros(int(keep.sum()), np.int64)
+    for triad, field, unit, scale in (
+        ("gyro", "gyro_rad_s", "mrad/s", MRAD_S),
+        ("accel", "accel_m_s2", "mg", MILLI_G),
+    ):
+        other = [
+            np.interp(first.time_s, second.time_s, column) for column in getattr(second, field).T
+        ]
+        difference = _means(getattr(first, field) - np.stack(other, axis=1), size)
         noise = float(np.median(np.abs(difference - np.median(difference, axis=0))))
-        if noise > _LARGEST_NOISE[triad]:
+        if noise > LARGEST_NOISE[triad]:
             reason = f"its IMUs are not sampled together: their {triad}s differ by {noise:.2g} SI"
             yield Silent(f"{name} IMU1-IMU2", reason)
-            continue
-        keep = np.isfinite(temperature)
-        nil = np.zeros(int(keep.sum()), np.int64)
+            return
         rows = ThermalRows(time[keep], temperature[keep], difference[keep], nil, nil)
         yield Series(f"{name} IMU1-IMU2", triad, rows, unit, scale)
+
+
+def _means(values: Floats, size: int) -> Floats:
+    count = len(values) // size
+    mean: Floats = values[: count * size].reshape(count, size, *values.shape[1:]).mean(axis=1)
+    return mean

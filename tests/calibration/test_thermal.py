@@ -50,7 +50,7 @@ def test_a_wide_loop_is_used():
     assert sum(one.count for one in gyro.by_temperature) == gyro.count
     assert max(gyro.standard_errors.values()) < 2e-4
     assert "heating and cooling agree" in texts(result, Level.NOTE)
-    assert "1 pose do not tell" in texts(result, Level.NOTE)
+    assert "one pose does not tell" in texts(result, Level.NOTE)
     at = np.array([-10.0, 10.0, 25.0, 50.0])
     bend = np.tanh((at - 15.0) / 15.0)
     found = result.calibration.gyro.c.at(at)[:, 0]

@@ -68,12 +68,17 @@ def test_its_name_is_that_of_uid2_else_uid(uid, uid2, name):
     ("name", "unit"),
     [
         ("bench_cuav_2021-12-08_static_warmup_2hz.tlog", "1e0025001551383137383335"),
+        ("bench_cuavv5_2021-12-08.bin", "1e0025001551383137383335"),
+        ("copter_erle_2014-09-07_50hz.bin", ""),
         ("px4_fmuv6c_quad_222hz.ulg", "0006000000003535323734325116003d0021"),
         ("px4_auavx2_quad_250hz.ulg", ""),
     ],
 )
 def test_recordings_tell_it(name, unit, shared):
-    """ArduPilot's uid2 ends in zeros, PX4's sys_uuid has all 18 bytes; old logs tell nothing."""
+    """ArduPilot's uid2 ends in zeros, PX4's sys_uuid has all 18 bytes; old logs tell nothing.
+
+    The first two are of one day and one board: its DataFlash log writes the number by words.
+    """
     path = shared / "flights" / name
     if not path.exists():
         pytest.skip(f"{path.name} is missing in ../shared/data/flights")

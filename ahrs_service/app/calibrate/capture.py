@@ -23,6 +23,7 @@ from ahrs_service.records import SAMPLE_DTYPE, ImuSource, Kind, Rows, empty
 from ahrs_service.settings import IntakeSettings
 from links.errors import RecordingError
 from links.recorded_parameters import read_recorded_parameters
+from links.recording import Recording
 from links.recording_formats import KNOWN, read_recording
 
 _BETWEEN_RECORDINGS_S: Final = 1000.0
@@ -81,7 +82,13 @@ def intake_of(arguments: argparse.Namespace) -> IntakeSettings:
 def read_capture(path: Path, settings: IntakeSettings) -> Capture:
     """Read one recording; RecordingError where it holds no samples of the IMU asked for."""
     recording = read_recording(path)
-    columns, source = columns_of(recording.readings, settings)
+    return capture_of(recording, recording.readings, settings)
+
+
+def capture_of(recording: Recording, readings: Rows, settings: IntakeSettings) -> Capture:
+    """Return the capture of those `readings` of a recording."""
+    path = recording.path
+    columns, source = columns_of(readings, settings)
     if not len(columns.time_s):
         raise RecordingError(
             f"{path}: holds no samples of the IMU asked for (--imu {settings.imu_source}); it has "

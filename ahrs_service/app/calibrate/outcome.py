@@ -224,7 +224,8 @@ def _parameters(name: str, fit: TriadFit) -> Table:
     """Return K and B with the 1-sigma of the last digits behind them: 1.00135(16)."""
     title = f"{name}: output = matrix · input + bias (1-sigma of the last digits)"
     table = Table(title=title, title_justify="left")
-    for head in ("", "x", "y", "z", "bias"):
+    unit = "rad/s" if name == "gyro" else "m/s^2"
+    for head in ("", "x", "y", "z", escape(f"bias [{unit}]")):
         table.add_column(head, justify="right", no_wrap=True)
     errors = np.sqrt(np.diag(fit.covariance))
     for row in range(3):

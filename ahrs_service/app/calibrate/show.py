@@ -38,6 +38,7 @@ _DEFAULT_SPAN: Final = (-40.0, 70.0)
 _MARGIN_DEGC: Final = 5.0
 _STEPS_PER_DEGC: Final = 10
 _SHOWN_ERRORS: Final = 24
+_DIGITS: Final = 12
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -121,7 +122,8 @@ def response(
         value[:, axis] = size
         change = output(value)[:, axis] - output(-value)[:, axis]
         scale[:, axis] = change / (2.0 * size) - 1.0
-    return output(nothing), scale
+    # What differs in the last digits only would fill its plot with noise.
+    return output(nothing), np.round(scale, _DIGITS)
 
 
 def _sigma(curve: Curve, temperature_degc: Floats, factor: float) -> Floats | None:
@@ -131,12 +133,12 @@ def _sigma(curve: Curve, temperature_degc: Floats, factor: float) -> Floats | No
 # -- the tables -------------------------------------------------------------------------------
 
 
-def verdict_text(calibration: Calibration) -> str:
-    """Say the verdict in one line."""
+def verdict_text(calibration: Calibration, between: str = "; ") -> str:
+    """Say the verdict and its sentences, with `between` them."""
     verdict = calibration.verdict
     head = "usable" if verdict.usable else "DO NOT USE"
-    text = "; ".join((head, *verdict.sentences))
-    return text.replace("DO NOT USE; do not use", "DO NOT USE")
+    text = between.join((head, *verdict.sentences))
+    return text.replace(f"DO NOT USE{between}do not use", "DO NOT USE")
 
 
 def tables(path: Path, calibration: Calibration) -> list[Table]:
@@ -146,8 +148,9 @@ def tables(path: Path, calibration: Calibration) -> list[Table]:
     about.add_column(overflow="fold")
     origin = calibration.provenance
     colour = "green" if calibration.verdict.usable else "bold red"
+    said = escape(verdict_text(calibration, "\n"))
     rows = {
-        "verdict": f"[{colour}]{escape(verdict_text(calibration))}[/]",
+        "verdict": f"[{colour}]{said}[/]",
         "serial": escape(calibration.serial or "not told"),
         "board": escape(calibration.uid or "not told"),
         "IMU": "any" if calibration.imu is None else str(calibration.imu),
@@ -172,11 +175,11 @@ def tables(path: Path, calibration: Calibration) -> list[Table]:
 def _triad_table(calibration: Calibration, name: str, triad: TriadCalibration) -> Table:
     unit, factor = _UNITS[name]
     table = Table(title=_triad_title(name, triad), title_justify="left")
-    for head in ("axis", f"bias [{unit}]", "scale [%]", "matrix, row [1]"):
+    for head in ("axis", escape(f"bias [{unit}]"), "scale [%]", "matrix, row [1]"):
         table.add_column(head, justify="left" if head == "axis" else "right")
-    table.add_column(f"bias over temperature [{unit}]", justify="right")
+    table.add_column(escape(f"bias over temperature [{unit}]"), justify="right")
     table.add_column("scale over temperature [%]", justify="right")
-    table.add_column(f"bias left [{unit}]", justify="right")
+    table.add_column(escape(f"bias left [{unit}]"), justify="right")
     bias, scale = response(calibration, name, _temperatures(calibration))
     left = triad.uncertainty.bias_residual
     for i, axis in enumerate("xyz"):
@@ -200,7 +203,7 @@ def _triad_table(calibration: Calibration, name: str, triad: TriadCalibration) -
 def _triad_title(name: str, triad: TriadCalibration) -> str:
     parts = [name, triad.model or "no thermal model"]
     if triad.span_degc is not None:
-        parts.append(f"{triad.span_degc[0]:g} to {triad.span_degc[1]:g} degC")
+        parts.append(f"{triad.span_degc[0]:.3g} to {triad.span_degc[1]:.3g} degC")
         parts.append(f"{len(triad.breaks_degc()) - 1} segments")
     if triad.thermal_lag_s:
         which = "the sensor" if triad.thermal_lag_s > 0.0 else "the thermometer"
