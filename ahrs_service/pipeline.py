@@ -95,6 +95,7 @@ PARAMETERS_DTYPE: Final = np.dtype(
 STATE_DTYPE: Final = np.dtype(
     [
         *timebase.TIME_FIELDS,
+        *mekf.MEKF_FIELDS,
         *alignment.ALIGNMENT_FIELDS,
         *gravity.GRAVITY_FIELDS,
         *heading.HEADING_FIELDS,
@@ -199,8 +200,6 @@ def _turn(
         tape.leave(state, nodes[0])
     propagation.grow(settings, state, sample["temperature_degc"])
     dt_s = state["turn_s"]
-    work = np.zeros((2, ERROR_STATES))
-    correction, h = work[0], work[1]
     gravity.judge(settings, state, airframe, dt_s, flags)
     uses_velocity = settings["use_velocity"] != 0
     at_rest = uses_velocity and rest.come_to_rest(state)
@@ -209,17 +208,19 @@ def _turn(
     if nodes is not None:
         tape.arrive(state, nodes[1])
     if at_rest:
-        rest.hold(state, correction, h, dt_s, settings["gyro_rest_sigma_rad_s"])
+        rest.hold(state, dt_s, settings["gyro_rest_sigma_rad_s"])
     else:
-        gravity.correct(settings, state, airframe, correction, h, flags)
+        gravity.correct(settings, state, airframe, flags)
         if uses_velocity:
-            motion.bound_velocity(settings, state, airframe, correction, h, dt_s)
+            motion.bound_velocity(settings, state, airframe, dt_s)
+    heading.correct(settings, state)
     if uses_velocity and settings["use_ground_velocity"] != 0:
         aiding.remember(state)
-        aiding.correct_velocity(settings, state, airframe, correction, h)
-        aiding.shift_history(state, correction)
+        aiding.correct_velocity(settings, state, airframe)
+        aiding.shift_history(state)
     propagation.begin_turn(state)
-    mekf.apply_correction(state, correction)
+    mekf.settle(state)
+    mekf.apply_correction(state)
     _summarise(state)
 
 
@@ -363,12 +364,15 @@ def _move(
         aiding.break_off(state)
     elif flags & _ACCEL_MISSING == 0 and settings["use_velocity"] != 0:
         rest.follow(state, gyro, accel, dt_s, settings["gyro_rest_sigma_rad_s"])
-    if state["turn_s"] >= propagation.TURN_S or flags & _JUDGED_AT_ONCE != 0:
+    if state["heading_source"] == heading.FIELD:
+        heading.gather(state, sample["mag_ut"], dt_s)
+    if state["turn_s"] + 0.5 * dt_s >= propagation.TURN_S or flags & _JUDGED_AT_ONCE != 0:
         _turn(settings, state, sample, airframe, flags, nodes)
         if not alignment.is_sound(state):
             _begin(settings, state, airframe)
             return
-    heading.correct(settings, state, sample["mag_ut"], dt_s)
+        if state["heading_source"] == heading.NONE:
+            heading.first_heading(settings, state, sample["mag_ut"])
     if state["phase"] == _ALIGNING and alignment.gather(
         state, gyro, accel, settings["alignment_s"]
     ):

@@ -182,12 +182,12 @@ def _take_rest_bias(state: Record) -> None:
 
 
 @kernel
-def bound_attitude(p: Floats) -> None:
+def bound_attitude(p: Floats, states: int) -> None:
     """Keep the attitude variances at what no knowledge at all means."""
     for axis in range(3):
         limit = HEADING_SIGMA_RAD**2
         if p[axis, axis] > limit:
             scale = math.sqrt(limit / p[axis, axis])
-            for j in range(ERROR_STATES):
+            for j in range(states):
                 p[axis, j] *= scale
                 p[j, axis] *= scale

@@ -14,12 +14,9 @@ the end. Without a magnetometer the heading starts at 0 and runs free, with a si
 import math
 from typing import Final
 
-import numpy as np
-
 from ahrs_service.fusion import hard_iron
-from ahrs_service.fusion.mekf import apply_correction, correct_state, forget, turn_about_down
-from ahrs_service.fusion.propagation import TURN_S
-from ahrs_service.fusion.states import ANGLE, ERROR_STATES
+from ahrs_service.fusion.mekf import correct_state, forget, turn_about_down, variance_of
+from ahrs_service.fusion.states import ANGLE
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats, Record
 
@@ -111,26 +108,23 @@ def sigma(state: Record) -> float:
 
 
 @kernel
-def correct(settings: Record, state: Record, mag: Floats, dt_s: float) -> None:
-    """Gather one field reading [3] [uT], NaN where there is none; once per turn correct."""
-    if settings["use_magnetometer"] == 0:
-        return
-    finite = abs(mag[0]) + abs(mag[1]) + abs(mag[2]) < SENSOR_MAX_UT
-    if state["heading_source"] == VELOCITY:
-        return
-    if state["heading_source"] == NONE:
-        if finite and state["turn_s"] == 0.0:
-            first_heading(settings, state, mag)
-        return
+def gather(state: Record, mag: Floats, dt_s: float) -> None:
+    """Gather one field reading [3] [uT], NaN where there is none."""
     state["mag_s"] += dt_s
-    if finite:
-        dcm, sums = state["dcm"], state["mag_dcm"]
-        state["mag_count"] += 1
-        for i in range(3):
-            state["mag_field_ut"][i] += dcm[i, 0] * mag[0] + dcm[i, 1] * mag[1] + dcm[i, 2] * mag[2]
-            for j in range(3):
-                sums[i, j] += dcm[i, j]
-    if state["mag_count"] > 0 and state["mag_s"] >= TURN_S:
+    if not abs(mag[0]) + abs(mag[1]) + abs(mag[2]) < SENSOR_MAX_UT:
+        return
+    dcm, sums = state["dcm"], state["mag_dcm"]
+    state["mag_count"] += 1
+    for i in range(3):
+        state["mag_field_ut"][i] += dcm[i, 0] * mag[0] + dcm[i, 1] * mag[1] + dcm[i, 2] * mag[2]
+        for j in range(3):
+            sums[i, j] += dcm[i, j]
+
+
+@kernel
+def correct(settings: Record, state: Record) -> None:
+    """Correct by the field that was gathered over the turn, if there was any."""
+    if state["heading_source"] == FIELD and state["mag_count"] > 0:
         _take_average(settings, state)
         _begin_average(state)
 
@@ -177,7 +171,7 @@ def _horizontal(state: Record) -> float:
 
 @kernel
 def _tilt_variance(state: Record) -> float:
-    return float(0.5 * (state["covariance"][0, 0] + state["covariance"][1, 1]))
+    return 0.5 * (variance_of(state, ANGLE) + variance_of(state, ANGLE + 1))
 
 
 @kernel
@@ -225,14 +219,16 @@ def _turn_heading(state: Record, error: float, variance: float, dt_s: float) -> 
     A magnetic error must not tilt the horizon, so the tilt is considered (Schmidt 1966): neither
     it nor its covariance is changed.
     """
-    p, correction = state["covariance"], np.zeros(ERROR_STATES)
-    outlier = error * error / (OUTLIER_SIGMA**2 * (p[2, 2] + variance))
+    p, gain, correction = state["covariance"], state["gain"], state["correction"]
+    outlier = error * error / (OUTLIER_SIGMA**2 * (variance_of(state, ANGLE + 2) + variance))
     variance *= max(1.0, CORRELATION_S / dt_s) * max(1.0, outlier)
-    north2, both, east2 = p[0, 0], p[0, 1], p[1, 1]
-    correct_state(p, correction, state["states"], ANGLE + 2, error, variance)
-    p[0, 0], p[0, 1], p[1, 0], p[1, 1] = north2, both, both, east2
-    correction[0] = correction[1] = 0.0
-    apply_correction(state, correction)
+    north, east = correction[0], correction[1]
+    correct_state(state, ANGLE + 2, error, variance)
+    correction[0], correction[1] = north, east
+    # What the gain takes from the tilt's covariance it gets back.
+    for i in range(2):
+        for j in range(2):
+            p[i, j] += gain[i] * gain[j]
 
 
 @kernel

@@ -67,6 +67,20 @@ def test_the_lag_is_learnt_and_the_attitude_better_for_it(flight, lag_s):
     assert np.mean(np.abs(turn[6000:]) < 2.0 * np.degrees(sigma)) > 0.9
 
 
+def test_a_velocity_with_every_sample_counts_no_more_than_that_of_a_receiver(flight):
+    """A hundred a second share their error: the filter may not be surer for them than for 5."""
+    samples = heard(flight)
+    often = samples.copy()
+    often["velocity_ned_m_s"][:, :2] = flight.rows["velocity_ned_m_s"][:, :2]
+    (_, state), (_, state_often) = run(samples), run(often)
+    assert state_often["states"] == states.AIDED
+    for first in (states.ANGLE, states.VELOCITY):
+        sigma, sigma_often = (
+            np.sqrt(np.diag(one["covariance"])[first : first + 2]) for one in (state, state_often)
+        )
+        assert (sigma_often > 0.7 * sigma).all()
+
+
 def test_the_wind_is_told_from_the_airspeed(flight):
     samples = heard(flight)
     samples["airspeed_m_s"][::EVERY] = flight.rows["airspeed_m_s"][::EVERY]
