@@ -364,15 +364,17 @@ def _move(
         aiding.break_off(state)
     elif flags & _ACCEL_MISSING == 0 and settings["use_velocity"] != 0:
         rest.follow(state, gyro, accel, dt_s, settings["gyro_rest_sigma_rad_s"])
-    if state["heading_source"] == heading.FIELD:
+    if settings["use_magnetometer"] != 0:
         heading.gather(state, sample["mag_ut"], dt_s)
     if state["turn_s"] + 0.5 * dt_s >= propagation.TURN_S or flags & _JUDGED_AT_ONCE != 0:
         _turn(settings, state, sample, airframe, flags, nodes)
         if not alignment.is_sound(state):
             _begin(settings, state, airframe)
             return
-        if state["heading_source"] == heading.NONE:
-            heading.first_heading(settings, state, sample["mag_ut"])
+        if state["heading_source"] == heading.VELOCITY and aiding.is_fresh(state):
+            heading.begin_average(state)
+        elif state["heading_source"] != heading.FIELD:
+            heading.find(settings, state)
     if state["phase"] == _ALIGNING and alignment.gather(
         state, gyro, accel, settings["alignment_s"]
     ):

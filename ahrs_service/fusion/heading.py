@@ -69,27 +69,41 @@ OUTLIER_SIGMA: Final = 3.0
 
 @kernel
 def first_heading(settings: Record, state: Record, mag: Floats) -> None:
-    """Turn the aligned attitude to the field's azimuth, if there is a plausible field."""
-    norm = math.sqrt(mag[0] * mag[0] + mag[1] * mag[1] + mag[2] * mag[2])
+    """Turn the aligned attitude to the azimuth of one reading [3] [uT], if it is plausible."""
     state["heading_source"] = NONE
-    if settings["use_magnetometer"] == 0 or not FIELD_MIN_UT < norm < FIELD_MAX_UT:
-        return
-    dcm = state["dcm"]
-    north = dcm[0, 0] * mag[0] + dcm[0, 1] * mag[1] + dcm[0, 2] * mag[2]
-    east = dcm[1, 0] * mag[0] + dcm[1, 1] * mag[1] + dcm[1, 2] * mag[2]
-    turn_about_down(state, settings["declination_rad"] - math.atan2(east, north))
-    state["heading_source"] = FIELD
-    state["reference_ut"][0] = math.sqrt(north * north + east * east)
-    state["reference_ut"][1] = dcm[2, 0] * mag[0] + dcm[2, 1] * mag[1] + dcm[2, 2] * mag[2]
-    variance = min(FIRST_SIGMA_RAD**2 + _by_tilt(state), math.pi**2)
-    forget(state["covariance"], ANGLE + 2, variance)
-    state["reference_s"] = state["other_s"] = 0.0
-    _begin_average(state)
-    hard_iron.start(state)
+    begin_average(state)
+    if settings["use_magnetometer"] != 0:
+        gather(state, mag, 0.0)
+        find(settings, state)
 
 
 @kernel
-def _begin_average(state: Record) -> None:
+def find(settings: Record, state: Record) -> None:
+    """Turn the attitude to the azimuth of the field gathered over a turn, if it is plausible.
+
+    A heading that a velocity told stays where it is, and the field corrects it from now on.
+    """
+    count, field = state["mag_count"], state["mag_field_ut"]
+    if count == 0:
+        return
+    north, east, down = field[0] / count, field[1] / count, field[2] / count
+    begin_average(state)
+    horizontal2 = north * north + east * east
+    if not FIELD_MIN_UT**2 < horizontal2 + down * down < FIELD_MAX_UT**2:
+        return
+    state["reference_ut"][0], state["reference_ut"][1] = math.sqrt(horizontal2), down
+    state["reference_s"] = state["other_s"] = 0.0
+    hard_iron.start(state)
+    if state["heading_source"] == NONE:
+        turn_about_down(state, settings["declination_rad"] - math.atan2(east, north))
+        variance = min(FIRST_SIGMA_RAD**2 + _by_tilt(state), math.pi**2)
+        forget(state["covariance"], ANGLE + 2, variance)
+    state["heading_source"] = FIELD
+
+
+@kernel
+def begin_average(state: Record) -> None:
+    """Forget the field that was gathered."""
     state["mag_s"] = 0.0
     state["mag_count"] = 0
     for i in range(3):
@@ -126,7 +140,7 @@ def correct(settings: Record, state: Record) -> None:
     """Correct by the field that was gathered over the turn, if there was any."""
     if state["heading_source"] == FIELD and state["mag_count"] > 0:
         _take_average(settings, state)
-        _begin_average(state)
+        begin_average(state)
 
 
 @kernel

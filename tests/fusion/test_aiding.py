@@ -110,6 +110,24 @@ def test_a_velocity_in_other_axes_than_the_compass_is_let_go(flight):
     )
 
 
+def test_a_magnetometer_that_comes_later_takes_over_where_the_velocity_vanishes(flight):
+    """The heading is that of the velocity as long as there is one, and does not run free then."""
+    samples = heard(flight)
+    fields = samples_of(flight, Airframe.FIXED_WING, magnetometer=True)["mag_ut"]
+    samples["mag_ut"][3000:] = fields[3000:]
+    _, early = run(samples[:5000])
+    assert early["heading_source"] == heading.VELOCITY
+    samples["velocity_ned_m_s"][5000:] = np.nan
+    estimates, state = run(samples)
+    assert state["heading_source"] == heading.FIELD
+    free = samples.copy()
+    free["mag_ut"] = np.nan
+    sigma, sigma_free = (one["attitude_sigma_rad"][-1, 2] for one in (estimates, run(free)[0]))
+    assert sigma < sigma_free
+    turn = errors_deg(estimates, flight.rows["ned_from_body"])[1][6000:]
+    assert rms(turn) < 10.0
+
+
 def test_numbers_without_sense_move_nothing_for_long(flight):
     truth, rng = flight.rows["ned_from_body"], np.random.default_rng(1)
     samples = heard(flight)
