@@ -18,6 +18,7 @@ from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.fusion import (
     aiding,
     alignment,
+    force_scale,
     gating,
     gravity,
     heading,
@@ -101,6 +102,7 @@ STATE_DTYPE: Final = np.dtype(
         *heading.HEADING_FIELDS,
         *propagation.PROPAGATION_FIELDS,
         *rest.REST_FIELDS,
+        *force_scale.SCALE_FIELDS,
         *motion.MOTION_FIELDS,
         *aiding.AIDING_FIELDS,
         ("ned_from_body", "f8", 4),
@@ -203,6 +205,8 @@ def _turn(
     gravity.judge(settings, state, airframe, dt_s, flags)
     uses_velocity = settings["use_velocity"] != 0
     at_rest = uses_velocity and rest.come_to_rest(state)
+    if uses_velocity:
+        force_scale.learn(state, dt_s)
     if at_rest:
         rest.doubt_bias(state, dt_s)
     if nodes is not None:
@@ -288,6 +292,7 @@ def _realign_if_lost(
 def _begin(settings: Record, state: Record, airframe: int) -> None:
     """Begin to align."""
     alignment.start(settings, state, airframe)
+    force_scale.start(state)
     propagation.begin_turn(state)
     _summarise(state)
     state["phase"] = _ALIGNING
@@ -357,7 +362,7 @@ def _move(
         return
     airframe = _airframe(settings, sample)
     for i in range(3):
-        accel[i] -= state["accel_bias_m_s2"][i]
+        accel[i] = accel[i] * state["force_scale"] - state["accel_bias_m_s2"][i]
     propagation.move(settings, state, airframe, gyro, accel, dt_s, flags)
     if flags & _GAP != 0:
         state["rest_s"] = 0.0

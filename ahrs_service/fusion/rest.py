@@ -25,7 +25,8 @@ CONFIRM_S: Final = 1.0
 FORCE_SIGMA_M_S2: Final = 0.2
 """An idle engine or a hand on the wing shake more than this [m/s^2]."""
 RATE_RAD_S: Final = 0.1
-FORCE_ERROR_M_S2: Final = 0.5
+FORCE_ERROR_M_S2: Final = 1.2
+"""More no accelerometer is wrong by (force_scale.LARGEST) [m/s^2]."""
 MOVING_AIRSPEED_M_S: Final = 6.0
 """Gusts on a pitot tube of a standing vehicle stay below this [m/s]."""
 MOVING_SPEED_M_S: Final = 2.0
