@@ -206,7 +206,7 @@ def _turn(
     uses_velocity = settings["use_velocity"] != 0
     at_rest = uses_velocity and rest.come_to_rest(state)
     if uses_velocity:
-        force_scale.learn(state, dt_s)
+        force_scale.learn(settings, state, airframe, dt_s)
     if at_rest:
         rest.doubt_bias(state, dt_s)
     if nodes is not None:
@@ -292,7 +292,7 @@ def _realign_if_lost(
 def _begin(settings: Record, state: Record, airframe: int) -> None:
     """Begin to align."""
     alignment.start(settings, state, airframe)
-    force_scale.start(state)
+    force_scale.start(settings, state, airframe)
     propagation.begin_turn(state)
     _summarise(state)
     state["phase"] = _ALIGNING

@@ -20,11 +20,13 @@ SCALE_FIELDS: Final = [("force_scale", "f8"), ("force_scale_variance", "f8")]
 """Fields of the pipeline's state that this module keeps."""
 
 SIGMA: Final = 0.04
-"""Offset of 30 mg and scale of 3 %, 1-sigma of a sensor as delivered (data sheets: 80 mg, 3 %)."""
+"""Offset of 30 mg and scale of 3 %, 1-sigma of a sensor as delivered (data sheets: 80 mg, 3 %); a
+class whose `accel_scale_error` is smaller, or whose `accel_bias_sigma_m_s2` is 0, has a better."""
 LARGEST: Final = 0.12
 """Three of these are no sensor's error any more."""
-WALK_RTS: Final = 1e-3
-"""What is an offset looks like another scale once the vehicle is tilted [1/sqrt(s)]."""
+WALK_SHARE_RTS: Final = 0.025
+"""By which share of its sigma it moves: what is an offset looks like another scale once the vehicle
+is tilted [1/sqrt(s)]."""
 REST_M_S2: Final = 0.05
 QUIET_M_S2: Final = 0.5
 """What accelerates a vehicle at rest and one that is moved about without shake, [m/s^2],"""
@@ -35,17 +37,26 @@ QUIET_RATE_RAD_S: Final = 0.2
 
 
 @kernel
-def start(state: Record) -> None:
-    """Doubt the scale; what was found of it is kept."""
-    if not abs(state["force_scale"] - 1.0) < 2.0 * LARGEST:
-        state["force_scale"] = 1.0
-    state["force_scale_variance"] = SIGMA**2
+def _sigma(settings: Record, airframe: int) -> float:
+    """1-sigma of the scale before it is learnt."""
+    if settings["accel_bias_sigma_m_s2"][airframe] == 0.0:
+        return 0.0
+    return min(float(settings["accel_scale_error"][airframe]), SIGMA)
 
 
 @kernel
-def learn(state: Record, dt_s: float) -> None:
+def start(settings: Record, state: Record, airframe: int) -> None:
+    """Doubt the scale; what was found of it is kept."""
+    if not abs(state["force_scale"] - 1.0) < 2.0 * LARGEST:
+        state["force_scale"] = 1.0
+    state["force_scale_variance"] = _sigma(settings, airframe) ** 2
+
+
+@kernel
+def learn(settings: Record, state: Record, airframe: int, dt_s: float) -> None:
     """Correct the scale by the mean force of a quiet turn."""
-    state["force_scale_variance"] += WALK_RTS**2 * dt_s
+    walk_rts = WALK_SHARE_RTS * _sigma(settings, airframe)
+    state["force_scale_variance"] += walk_rts * walk_rts * dt_s
     force, rate = state["mean_force_m_s2"], state["smooth_rate_rad_s"]
     rate2 = rate[0] * rate[0] + rate[1] * rate[1] + rate[2] * rate[2]
     if not (state["force_variance"] < QUIET_SHAKE_M_S2**2 and rate2 < QUIET_RATE_RAD_S**2):
