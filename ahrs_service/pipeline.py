@@ -292,7 +292,6 @@ def _realign_if_lost(
 def _begin(settings: Record, state: Record, airframe: int) -> None:
     """Begin to align."""
     alignment.start(settings, state, airframe)
-    force_scale.start(settings, state, airframe)
     propagation.begin_turn(state)
     _summarise(state)
     state["phase"] = _ALIGNING
@@ -376,10 +375,7 @@ def _move(
         if not alignment.is_sound(state):
             _begin(settings, state, airframe)
             return
-        if state["heading_source"] == heading.VELOCITY and aiding.is_fresh(state):
-            heading.begin_average(state)
-        elif state["heading_source"] != heading.FIELD:
-            heading.find(settings, state)
+        heading.seek(settings, state, aiding.is_fresh(state))
     if state["phase"] == _ALIGNING and alignment.gather(
         state, gyro, accel, settings["alignment_s"]
     ):

@@ -78,6 +78,15 @@ def first_heading(settings: Record, state: Record, mag: Floats) -> None:
 
 
 @kernel
+def seek(settings: Record, state: Record, velocity_is_fresh: bool) -> None:
+    """After a turn, let the field tell the heading where nothing does, or a velocity did once."""
+    if state["heading_source"] == VELOCITY and velocity_is_fresh:
+        begin_average(state)
+    elif state["heading_source"] != FIELD:
+        find(settings, state)
+
+
+@kernel
 def find(settings: Record, state: Record) -> None:
     """Turn the attitude to the azimuth of the field gathered over a turn, if it is plausible.
 

@@ -48,6 +48,14 @@ LONG_REST_S: Final = 5.0
 
 
 @kernel
+def start(state: Record, accel: Floats) -> None:
+    """Begin the average of the force with the first one, and with the doubt of having no other."""
+    for i in range(3):
+        state["mean_force_m_s2"][i] = accel[i]
+    state["force_variance"] = STANDARD_GRAVITY_M_S2**2
+
+
+@kernel
 def follow(state: Record, gyro: Floats, accel: Floats, dt_s: float, rate_sigma: float) -> None:
     """Follow mean and variance of rate and force; `rest_s` is how long all were those of rest."""
     weight = dt_s / (AVERAGE_S + dt_s)
