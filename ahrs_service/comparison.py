@@ -7,8 +7,9 @@ The rules, which the report repeats:
 - roll and pitch errors are differences of Euler angles (ours minus reference, wrapped), without
   the instants where the reference's pitch is beyond 75 deg; the tilt error, the angle between
   both verticals, has no such limit;
-- steady flight is judged by the reference alone: body rate below 0.15 rad/s, roll and pitch within
-  25 deg, for at least 2 s;
+- steady flight is told by the reference's roll and pitch, within 25 deg, and by the gyro: over a
+  second to either side a mean rate below 0.15 rad/s, which is no manoeuvre, and a 1-sigma about it
+  above 0.02 rad/s, which nothing on the ground has that stands; for at least 2 s;
 - heading error is ours minus reference with its mean taken off, since the reference's north
   (declination) need not be ours.
 """
@@ -26,6 +27,9 @@ PITCH_LIMIT_RAD: Final = float(np.radians(75.0))
 STEADY_RATE_RAD_S: Final = 0.15
 STEADY_ANGLE_RAD: Final = float(np.radians(25.0))
 STEADY_DURATION_S: Final = 2.0
+FLOWN_RATE_RAD_S: Final = 0.02
+"""What real multirotors and fixed wings wobble by in the air is 0.04 and more, with motors that
+idle on the ground 0.005 to 0.02."""
 LAG_LIMIT_S: Final = 0.3
 _LAG_STEP_S: Final = 0.01
 _LAG_INSTANTS: Final = 5_000
@@ -83,7 +87,7 @@ def compare(
     Where a clock was set back both columns are cut there, and the pieces compared in pairs.
     """
     ours, found = at_instants(estimates, time_ns, ned_from_body)
-    steady, steady_s = steady_flight(time_ns, ned_from_body)
+    steady, steady_s = steady_flight(time_ns, ned_from_body, *motion(estimates, time_ns))
     euler = euler_columns(ned_from_body)
     error = _wrap(euler_columns(ours) - euler)
     gentle = found & (np.abs(euler[:, 1]) <= PITCH_LIMIT_RAD)
@@ -118,16 +122,44 @@ def statistics(error: Floats) -> ErrorStatistics:
     )
 
 
-def steady_flight(time_ns: Integers, ned_from_body: Floats) -> tuple[Mask, float]:
+def motion(estimates: Rows, time_ns: Integers) -> tuple[Floats, Floats]:
+    """Norm of the mean rate [M] [rad/s] around each instant, and the 1-sigma about that mean."""
+    turn, wobble = np.zeros(len(time_ns)), np.zeros(len(time_ns))
+    for ours, theirs in pairs(estimates["time_ns"], time_ns):
+        piece = estimates[ours]
+        piece = piece[np.argsort(piece["time_ns"], kind="stable")]
+        turn[theirs], wobble[theirs] = rate_around(
+            piece["time_ns"], piece["rate_rad_s"], time_ns[theirs]
+        )
+    return turn, wobble
+
+
+def rate_around(stamps: Integers, rate: Floats, time_ns: Integers) -> tuple[Floats, Floats]:
+    """Do that for rates [N, 3] at rising `stamps` [N]."""
+    half_ns = int(0.5e9 * STEADY_DURATION_S)
+    first = np.searchsorted(stamps, time_ns - half_ns)
+    last = np.searchsorted(stamps, time_ns + half_ns, side="right")
+    count = np.maximum(last - first, 1)[:, None]
+    rate = np.nan_to_num(rate)
+    sums, squares = (
+        np.concatenate([np.zeros((1, 3)), np.cumsum(column, axis=0)]) for column in (rate, rate**2)
+    )
+    mean = (sums[last] - sums[first]) / count
+    variance = (squares[last] - squares[first]) / count - mean**2
+    wobble = np.sqrt(np.maximum(variance, 0.0).sum(axis=1))
+    return np.linalg.norm(mean, axis=1), wobble
+
+
+def steady_flight(
+    time_ns: Integers, ned_from_body: Floats, turn: Floats, wobble: Floats
+) -> tuple[Mask, float]:
     """Mark [M] the instants of steady flight by the rule above, and give their duration [s]."""
     if len(time_ns) < 2:
         return np.zeros(len(time_ns), bool), 0.0
     dt_s = np.diff(time_ns) * 1e-9
-    turned = rotation_vectors(ned_from_body)
-    limit_s = gap_limit(dt_s)
-    calm: Mask = (dt_s > 0.0) & (dt_s < limit_s)
-    calm &= np.linalg.norm(turned, axis=1) < STEADY_RATE_RAD_S * dt_s
+    calm: Mask = (dt_s > 0.0) & (dt_s < gap_limit(dt_s))
     level = np.abs(euler_columns(ned_from_body)[:, :2]).max(axis=1) < STEADY_ANGLE_RAD
+    level &= (turn < STEADY_RATE_RAD_S) & (wobble > FLOWN_RATE_RAD_S)
     calm &= level[:-1] & level[1:]
     edges = np.flatnonzero(np.diff(np.concatenate([[False], calm, [False]]).astype(np.int8)))
     mask = np.zeros(len(time_ns), bool)

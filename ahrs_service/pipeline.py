@@ -18,6 +18,7 @@ from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.fusion import (
     aiding,
     alignment,
+    force_scale,
     gating,
     gravity,
     heading,
@@ -100,11 +101,13 @@ STATE_DTYPE: Final = np.dtype(
     [
         *timebase.TIME_FIELDS,
         *THERMOMETER_FIELDS,
+        *mekf.MEKF_FIELDS,
         *alignment.ALIGNMENT_FIELDS,
         *gravity.GRAVITY_FIELDS,
         *heading.HEADING_FIELDS,
         *propagation.PROPAGATION_FIELDS,
         *rest.REST_FIELDS,
+        *force_scale.SCALE_FIELDS,
         *motion.MOTION_FIELDS,
         *aiding.AIDING_FIELDS,
         ("ned_from_body", "f8", 4),
@@ -207,27 +210,29 @@ def _turn(
     is_compensated = flags & _UNCOMPENSATED == 0
     propagation.grow(settings, state, sample["temperature_degc"], is_compensated)
     dt_s = state["turn_s"]
-    work = np.zeros((2, ERROR_STATES))
-    correction, h = work[0], work[1]
     gravity.judge(settings, state, airframe, dt_s, flags)
     uses_velocity = settings["use_velocity"] != 0
     at_rest = uses_velocity and rest.come_to_rest(state)
+    if uses_velocity:
+        force_scale.learn(settings, state, airframe, dt_s)
     if at_rest:
         rest.doubt_bias(state, dt_s)
     if nodes is not None:
         tape.arrive(state, nodes[1])
     if at_rest:
-        rest.hold(state, correction, h, dt_s, settings["gyro_rest_sigma_rad_s"])
+        rest.hold(state, dt_s, settings["gyro_rest_sigma_rad_s"])
     else:
-        gravity.correct(settings, state, airframe, correction, h, flags)
+        gravity.correct(settings, state, airframe, flags)
         if uses_velocity:
-            motion.bound_velocity(settings, state, airframe, correction, h, dt_s)
+            motion.bound_velocity(settings, state, airframe, dt_s)
+    heading.correct(settings, state)
     if uses_velocity and settings["use_ground_velocity"] != 0:
         aiding.remember(state)
-        aiding.correct_velocity(settings, state, airframe, correction, h)
-        aiding.shift_history(state, correction)
+        aiding.correct_velocity(settings, state, airframe)
+        aiding.shift_history(state)
     propagation.begin_turn(state)
-    mekf.apply_correction(state, correction)
+    mekf.settle(state)
+    mekf.apply_correction(state)
     _summarise(state)
 
 
@@ -359,19 +364,21 @@ def _move(
         return
     airframe = _airframe(settings, sample)
     for i in range(3):
-        accel[i] -= state["accel_bias_m_s2"][i]
+        accel[i] = accel[i] * state["force_scale"] - state["accel_bias_m_s2"][i]
     propagation.move(settings, state, airframe, gyro, accel, dt_s, flags)
     if flags & _GAP != 0:
         state["rest_s"] = 0.0
         aiding.break_off(state)
     elif flags & _ACCEL_MISSING == 0 and settings["use_velocity"] != 0:
         rest.follow(state, gyro, accel, dt_s, settings["gyro_rest_sigma_rad_s"])
-    if state["turn_s"] >= propagation.TURN_S or flags & _JUDGED_AT_ONCE != 0:
+    if settings["use_magnetometer"] != 0:
+        heading.gather(state, sample["mag_ut"], dt_s)
+    if state["turn_s"] + 0.5 * dt_s >= propagation.TURN_S or flags & _JUDGED_AT_ONCE != 0:
         _turn(settings, state, sample, airframe, flags, nodes)
         if not alignment.is_sound(state):
             _begin(settings, state, airframe)
             return
-    heading.correct(settings, state, sample["mag_ut"], dt_s)
+        heading.seek(settings, state, aiding.is_fresh(state))
     if state["phase"] == _ALIGNING and alignment.gather(
         state, gyro, accel, settings["alignment_s"]
     ):

@@ -187,3 +187,12 @@ def test_undecorated_kernels_give_the_same_bytes(name):
         fast = kernel(compiled, *arguments, shape=shape)
         plain = kernel(compiled.py_func, *arguments, shape=shape)
         assert fast.tobytes() == plain.tobytes()
+
+
+@kernels
+@given(q=quaternions(), stretch=st.floats(-1e-8, 1e-8))
+def test_a_length_that_rounding_moved_is_kept(q, stretch):
+    expected, kept = q.copy(), (1.0 + stretch) * q
+    rotation.normalise(expected)
+    rotation.keep_normal(kept)
+    np.testing.assert_allclose(kept, expected, atol=3e-16)

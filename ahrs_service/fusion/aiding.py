@@ -25,7 +25,7 @@ AIDING_FIELDS: Final = [
     ("measured_time_ns", "i8"),
     ("measured_new", "i8"),
     ("history_time_ns", "i8", HISTORY),
-    ("history_m_s", "f8", (HISTORY, 3)),
+    ("history_m_s", "f8", (3, HISTORY)),
     ("history_next", "i8"),
     ("matched_time_ns", "i8"),
     ("matched_m_s", "f8", (2, 2)),
@@ -38,6 +38,9 @@ AIDING_FIELDS: Final = [
 FASTEST_M_S: Final = 60.0
 """No small UAV is faster over ground: more is a filter that diverged or a receiver that lost
 its satellites [m/s]."""
+SPACING_NS: Final = 150_000_000
+"""Receivers give 5 velocities a second, and filters smooth for longer: what comes sooner after
+the last shares its error."""
 VALID_NS: Final = 2_000_000_000
 WIND_SIGMA_M_S: Final = 5.0
 """Along north and along east [m/s]."""
@@ -84,6 +87,8 @@ def hear_velocity(state: Record, sample: Record) -> None:
     possible = v[0] * v[0] + v[1] * v[1] + down * down <= FASTEST_M_S**2
     if not possible or (v[0] == known[0] and v[1] == known[1]):
         return
+    if 0 <= sample["time_ns"] - state["measured_time_ns"] < SPACING_NS:
+        return
     for i in range(3):
         known[i] = v[i]
     state["measured_time_ns"] = sample["time_ns"]
@@ -102,7 +107,7 @@ def remember(state: Record) -> None:
     n = state["history_next"]
     state["history_time_ns"][n] = state["time_ns"]
     for i in range(3):
-        state["history_m_s"][n, i] = state["velocity_ned_m_s"][i]
+        state["history_m_s"][i, n] = state["velocity_ned_m_s"][i]
     state["history_next"] = (n + 1) % HISTORY
 
 
@@ -119,6 +124,7 @@ def break_off(state: Record) -> None:
 @kernel
 def _let_go(state: Record) -> None:
     """Go on with the velocity through the air: that over ground without the wind."""
+    mekf.settle(state)
     p, velocity, wind = state["covariance"], state["velocity_ned_m_s"], state["wind_ned_m_s"]
     for i in range(2):
         v, w = VELOCITY + i, WIND + i
@@ -128,8 +134,10 @@ def _let_go(state: Record) -> None:
             p[j, v] -= p[j, w]
         velocity[i] -= wind[i]
         for n in range(HISTORY):
-            state["history_m_s"][n, i] -= wind[i]
+            state["history_m_s"][i, n] -= wind[i]
         wind[i] = 0.0
+    for i in range(UNAIDED, ERROR_STATES):
+        mekf.forget(p, i, 0.0)
     for i in range(5):
         state["match"][i] = 0.0
     state["velocity_surprise"] = 0.0
@@ -148,18 +156,16 @@ def _velocity_at(state: Record, time_ns: int, out: Floats) -> bool:
         if times[before] <= time_ns <= times[after]:
             share = (time_ns - times[before]) / (times[after] - times[before])
             for i in range(3):
-                step = velocities[after, i] - velocities[before, i]
-                out[i] = velocities[before, i] + share * step
+                step = velocities[i, after] - velocities[i, before]
+                out[i] = velocities[i, before] + share * step
             return True
         after = before
     return False
 
 
 @kernel
-def correct_velocity(
-    settings: Record, state: Record, airframe: int, correction: Floats, h: Floats
-) -> None:
-    """Correct by a new measurement of the velocity over ground; `h` [n] comes and goes zero.
+def correct_velocity(settings: Record, state: Record, airframe: int) -> None:
+    """Correct by a new measurement of the velocity over ground.
 
     Until the velocity is believed, the measurement goes to find out whether it agrees with ours.
     """
@@ -179,28 +185,28 @@ def correct_velocity(
     state["measured_new"] = 0
     if state["states"] == AIDED:
         slope_per_s = 1e9 / (later_ns - taken_ns) if known else 0.0
-        _take(state, correction, h, then, later, slope_per_s)
+        _take(state, then, later, slope_per_s)
     elif mekf.tilt_variance(state["covariance"]) < TILT_SIGMA_RAD**2:
         _match(state, then)
-        _begin_if_it_agrees(state, airframe, correction)
+        _begin_if_it_agrees(state, airframe)
 
 
 @kernel
-def _take(
-    state: Record, correction: Floats, h: Floats, then: Floats, later: Floats, slope_per_s: float
-) -> None:
+def _take(state: Record, then: Floats, later: Floats, slope_per_s: float) -> None:
     """Correct by each component there is; an outlier counts less, by its square."""
-    p, measured, surprise = state["covariance"], state["measured_velocity_m_s"], 0.0
+    h, correction = state["measured"], state["correction"]
+    measured, surprise = state["measured_velocity_m_s"], 0.0
     for i in range(3):
         if not math.isfinite(measured[i]):
             continue
         innovation = measured[i] - then[i]
         n = VELOCITY + i
         h[n], h[LAG] = 1.0, -(later[i] - then[i]) * slope_per_s
-        expected2 = p[n, n] + h[LAG] * h[LAG] * p[LAG, LAG] + SIGMA_M_S**2
+        by_lag2 = h[LAG] * h[LAG] * mekf.variance_of(state, LAG)
+        expected2 = mekf.variance_of(state, n) + by_lag2 + SIGMA_M_S**2
         square = innovation * innovation / expected2
         variance = SIGMA_M_S**2 * max(1.0, square / OUTLIER_SIGMA**2)
-        mekf.correct(p, correction, ERROR_STATES, h, innovation, variance)
+        mekf.correct(state, innovation, variance)
         surprise = max(surprise, min(square, SURPRISE_MAX))
         h[n] = h[LAG] = 0.0
     state["velocity_surprise"] += SURPRISE_WEIGHT * (surprise - state["velocity_surprise"])
@@ -215,6 +221,7 @@ def _take(
 @kernel
 def _begin(state: Record, heading_sigma_rad: float) -> None:
     """Bring the wind in: velocity over ground = velocity through the air + wind."""
+    mekf.settle(state)
     p = state["covariance"]
     if heading_sigma_rad > 0.0:
         mekf.forget(p, ANGLE + 2, heading_sigma_rad**2)
@@ -263,7 +270,7 @@ def _match(state: Record, then: Floats) -> None:
 
 
 @kernel
-def _begin_if_it_agrees(state: Record, airframe: int, correction: Floats) -> None:
+def _begin_if_it_agrees(state: Record, airframe: int) -> None:
     """Begin to use the velocity where its changes are ours, turned by the heading or as known."""
     v, match = state["measured_velocity_m_s"], state["match"]
     strength, angle = math.hypot(match[0], match[1]), math.atan2(match[1], match[0])
@@ -279,17 +286,18 @@ def _begin_if_it_agrees(state: Record, airframe: int, correction: Floats) -> Non
     elif state["heading_source"] == heading.FIELD:
         return
     elif told:
-        _turn_to(state, angle, MATCH_SIGMA_RAD, correction)
+        _turn_to(state, angle, MATCH_SIGMA_RAD)
     elif airframe == _FIXED_WING and is_fast and state["course_doubted"] == 0:
         nose = math.atan2(state["dcm"][1, 0], state["dcm"][0, 0])
-        _turn_to(state, math.atan2(v[1], v[0]) - nose, COURSE_SIGMA_RAD, correction)
+        _turn_to(state, math.atan2(v[1], v[0]) - nose, COURSE_SIGMA_RAD)
 
 
 @kernel
-def _turn_to(state: Record, angle_rad: float, sigma_rad: float, correction: Floats) -> None:
+def _turn_to(state: Record, angle_rad: float, sigma_rad: float) -> None:
     """Turn to a heading that was found; what is to be corrected turns along."""
+    mekf.settle(state)
     mekf.turn_about_down(state, angle_rad)
-    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    correction, c, s = state["correction"], math.cos(angle_rad), math.sin(angle_rad)
     for k in (ANGLE, VELOCITY):
         x, y = correction[k], correction[k + 1]
         correction[k], correction[k + 1] = c * x - s * y, s * x + c * y
@@ -298,8 +306,9 @@ def _turn_to(state: Record, angle_rad: float, sigma_rad: float, correction: Floa
 
 
 @kernel
-def shift_history(state: Record, correction: Floats) -> None:
+def shift_history(state: Record) -> None:
     """Correct the remembered velocities as the present one."""
-    for n in range(HISTORY):
-        for i in range(3):
-            state["history_m_s"][n, i] += correction[VELOCITY + i]
+    for i in range(3):
+        added = state["correction"][VELOCITY + i]
+        for n in range(HISTORY):
+            state["history_m_s"][i, n] += added

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.fusion import mekf
+from ahrs_service.fusion import force_scale, mekf, rest
 from ahrs_service.fusion.states import (
     ACCEL_BIAS,
     ERROR_STATES,
@@ -74,6 +74,7 @@ def _doubt_sensors(settings: Record, p: Floats, airframe: int) -> None:
 def start(settings: Record, state: Record, airframe: int) -> None:
     """Forget attitude and velocity and begin to align; what was found of the sensors is kept."""
     p = state["covariance"]
+    force_scale.start(settings, state, airframe)
     for i in range(ERROR_STATES):
         mekf.forget(p, i, 0.0)
     p[0, 0] = p[1, 1] = TILT_SIGMA_RAD**2
@@ -158,6 +159,7 @@ def first_attitude(state: Record, gyro: Floats, accel: Floats) -> None:
             dcm[i, 0] * accel[0] + dcm[i, 1] * accel[1] + dcm[i, 2] * accel[2]
         )
         state["force_before_ned_m_s2"][i] = state["force_ned_m_s2"][i]
+    rest.start(state, accel)
     state["interval_before_s"] = 0.0
     state["aligned_samples"] = 1
 
@@ -201,12 +203,12 @@ def _take_rest_bias(state: Record) -> None:
 
 
 @kernel
-def bound_attitude(p: Floats) -> None:
+def bound_attitude(p: Floats, states: int) -> None:
     """Keep the attitude variances at what no knowledge at all means."""
     for axis in range(3):
         limit = HEADING_SIGMA_RAD**2
         if p[axis, axis] > limit:
             scale = math.sqrt(limit / p[axis, axis])
-            for j in range(ERROR_STATES):
+            for j in range(states):
                 p[axis, j] *= scale
                 p[j, axis] *= scale

@@ -71,9 +71,7 @@ def _gravity_variance(settings: Record, airframe: int) -> float:
 
 
 @kernel
-def correct(
-    settings: Record, state: Record, airframe: int, correction: Floats, h: Floats, flags: int
-) -> None:
+def correct(settings: Record, state: Record, airframe: int, flags: int) -> None:
     """Take the averaged force for the vertical while the gates are open, or while aligning."""
     aligning = state["phase"] == _ALIGNING and flags & (_SATURATED | _ACCEL_MISSING) == 0
     if state["gate"] != 0 and not aligning:
@@ -83,4 +81,4 @@ def correct(
         variance += (state["gate_metrics"][0] / STANDARD_GRAVITY_M_S2) ** 2
     variance *= ACCEL_CORRELATION_S / min(state["turn_s"], LONGEST_AVERAGE_S)
     for axis in range(2):
-        mekf.correct_tilt(state, correction, h, axis, variance)
+        mekf.correct_tilt(state, axis, variance)

@@ -14,12 +14,9 @@ the end. Without a magnetometer the heading starts at 0 and runs free, with a si
 import math
 from typing import Final
 
-import numpy as np
-
 from ahrs_service.fusion import hard_iron
-from ahrs_service.fusion.mekf import apply_correction, correct_state, forget, turn_about_down
-from ahrs_service.fusion.propagation import TURN_S
-from ahrs_service.fusion.states import ANGLE, ERROR_STATES
+from ahrs_service.fusion.mekf import correct_state, forget, turn_about_down, variance_of
+from ahrs_service.fusion.states import ANGLE
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats, Record
 
@@ -72,27 +69,50 @@ OUTLIER_SIGMA: Final = 3.0
 
 @kernel
 def first_heading(settings: Record, state: Record, mag: Floats) -> None:
-    """Turn the aligned attitude to the field's azimuth, if there is a plausible field."""
-    norm = math.sqrt(mag[0] * mag[0] + mag[1] * mag[1] + mag[2] * mag[2])
+    """Turn the aligned attitude to the azimuth of one reading [3] [uT], if it is plausible."""
     state["heading_source"] = NONE
-    if settings["use_magnetometer"] == 0 or not FIELD_MIN_UT < norm < FIELD_MAX_UT:
-        return
-    dcm = state["dcm"]
-    north = dcm[0, 0] * mag[0] + dcm[0, 1] * mag[1] + dcm[0, 2] * mag[2]
-    east = dcm[1, 0] * mag[0] + dcm[1, 1] * mag[1] + dcm[1, 2] * mag[2]
-    turn_about_down(state, settings["declination_rad"] - math.atan2(east, north))
-    state["heading_source"] = FIELD
-    state["reference_ut"][0] = math.sqrt(north * north + east * east)
-    state["reference_ut"][1] = dcm[2, 0] * mag[0] + dcm[2, 1] * mag[1] + dcm[2, 2] * mag[2]
-    variance = min(FIRST_SIGMA_RAD**2 + _by_tilt(state), math.pi**2)
-    forget(state["covariance"], ANGLE + 2, variance)
-    state["reference_s"] = state["other_s"] = 0.0
-    _begin_average(state)
-    hard_iron.start(state)
+    begin_average(state)
+    if settings["use_magnetometer"] != 0:
+        gather(state, mag, 0.0)
+        find(settings, state)
 
 
 @kernel
-def _begin_average(state: Record) -> None:
+def seek(settings: Record, state: Record, velocity_is_fresh: bool) -> None:
+    """After a turn, let the field tell the heading where nothing does, or a velocity did once."""
+    if state["heading_source"] == VELOCITY and velocity_is_fresh:
+        begin_average(state)
+    elif state["heading_source"] != FIELD:
+        find(settings, state)
+
+
+@kernel
+def find(settings: Record, state: Record) -> None:
+    """Turn the attitude to the azimuth of the field gathered over a turn, if it is plausible.
+
+    A heading that a velocity told stays where it is, and the field corrects it from now on.
+    """
+    count, field = state["mag_count"], state["mag_field_ut"]
+    if count == 0:
+        return
+    north, east, down = field[0] / count, field[1] / count, field[2] / count
+    begin_average(state)
+    horizontal2 = north * north + east * east
+    if not FIELD_MIN_UT**2 < horizontal2 + down * down < FIELD_MAX_UT**2:
+        return
+    state["reference_ut"][0], state["reference_ut"][1] = math.sqrt(horizontal2), down
+    state["reference_s"] = state["other_s"] = 0.0
+    hard_iron.start(state)
+    if state["heading_source"] == NONE:
+        turn_about_down(state, settings["declination_rad"] - math.atan2(east, north))
+        variance = min(FIRST_SIGMA_RAD**2 + _by_tilt(state), math.pi**2)
+        forget(state["covariance"], ANGLE + 2, variance)
+    state["heading_source"] = FIELD
+
+
+@kernel
+def begin_average(state: Record) -> None:
+    """Forget the field that was gathered."""
     state["mag_s"] = 0.0
     state["mag_count"] = 0
     for i in range(3):
@@ -111,28 +131,25 @@ def sigma(state: Record) -> float:
 
 
 @kernel
-def correct(settings: Record, state: Record, mag: Floats, dt_s: float) -> None:
-    """Gather one field reading [3] [uT], NaN where there is none; once per turn correct."""
-    if settings["use_magnetometer"] == 0:
-        return
-    finite = abs(mag[0]) + abs(mag[1]) + abs(mag[2]) < SENSOR_MAX_UT
-    if state["heading_source"] == VELOCITY:
-        return
-    if state["heading_source"] == NONE:
-        if finite and state["turn_s"] == 0.0:
-            first_heading(settings, state, mag)
-        return
+def gather(state: Record, mag: Floats, dt_s: float) -> None:
+    """Gather one field reading [3] [uT], NaN where there is none."""
     state["mag_s"] += dt_s
-    if finite:
-        dcm, sums = state["dcm"], state["mag_dcm"]
-        state["mag_count"] += 1
-        for i in range(3):
-            state["mag_field_ut"][i] += dcm[i, 0] * mag[0] + dcm[i, 1] * mag[1] + dcm[i, 2] * mag[2]
-            for j in range(3):
-                sums[i, j] += dcm[i, j]
-    if state["mag_count"] > 0 and state["mag_s"] >= TURN_S:
+    if not abs(mag[0]) + abs(mag[1]) + abs(mag[2]) < SENSOR_MAX_UT:
+        return
+    dcm, sums = state["dcm"], state["mag_dcm"]
+    state["mag_count"] += 1
+    for i in range(3):
+        state["mag_field_ut"][i] += dcm[i, 0] * mag[0] + dcm[i, 1] * mag[1] + dcm[i, 2] * mag[2]
+        for j in range(3):
+            sums[i, j] += dcm[i, j]
+
+
+@kernel
+def correct(settings: Record, state: Record) -> None:
+    """Correct by the field that was gathered over the turn, if there was any."""
+    if state["heading_source"] == FIELD and state["mag_count"] > 0:
         _take_average(settings, state)
-        _begin_average(state)
+        begin_average(state)
 
 
 @kernel
@@ -177,7 +194,7 @@ def _horizontal(state: Record) -> float:
 
 @kernel
 def _tilt_variance(state: Record) -> float:
-    return float(0.5 * (state["covariance"][0, 0] + state["covariance"][1, 1]))
+    return 0.5 * (variance_of(state, ANGLE) + variance_of(state, ANGLE + 1))
 
 
 @kernel
@@ -225,14 +242,16 @@ def _turn_heading(state: Record, error: float, variance: float, dt_s: float) -> 
     A magnetic error must not tilt the horizon, so the tilt is considered (Schmidt 1966): neither
     it nor its covariance is changed.
     """
-    p, correction = state["covariance"], np.zeros(ERROR_STATES)
-    outlier = error * error / (OUTLIER_SIGMA**2 * (p[2, 2] + variance))
+    p, gain, correction = state["covariance"], state["gain"], state["correction"]
+    outlier = error * error / (OUTLIER_SIGMA**2 * (variance_of(state, ANGLE + 2) + variance))
     variance *= max(1.0, CORRELATION_S / dt_s) * max(1.0, outlier)
-    north2, both, east2 = p[0, 0], p[0, 1], p[1, 1]
-    correct_state(p, correction, state["states"], ANGLE + 2, error, variance)
-    p[0, 0], p[0, 1], p[1, 0], p[1, 1] = north2, both, both, east2
-    correction[0] = correction[1] = 0.0
-    apply_correction(state, correction)
+    north, east = correction[0], correction[1]
+    correct_state(state, ANGLE + 2, error, variance)
+    correction[0], correction[1] = north, east
+    # What the gain takes from the tilt's covariance it gets back.
+    for i in range(2):
+        for j in range(2):
+            p[i, j] += gain[i] * gain[j]
 
 
 @kernel

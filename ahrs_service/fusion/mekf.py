@@ -2,12 +2,12 @@
 
 The error angle psi is about earth axes: q_true = dq(psi) * q. Every measurement is a scalar, taken
 one after the other into a correction vector that is moved into the state at the end of a turn.
-Only the first `states` of the error states are in use; that number is a multiple of 3.
+Only the first `states` of the error states are in use; the variances of the others are 0, so that
+the loops over many run over 6 or over all, numbers that the compiler knows.
 """
 
 import math
-
-import numpy as np
+from typing import Final
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.fusion.states import (
@@ -25,20 +25,34 @@ from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats, Record
 from ahrs_service.rotation import from_rotation_vector, matrix, multiply, normalise
 
+MEKF_FIELDS: Final = [
+    ("correction", "f8", ERROR_STATES),
+    ("measured", "f8", ERROR_STATES),
+    ("gain", "f8", ERROR_STATES),
+    ("gains", "f8", (4, ERROR_STATES)),
+    ("pending", "i8"),
+    ("turned_rows", "f8", (3, ERROR_STATES)),
+]
+"""Fields of the pipeline's state that this module keeps: what a turn has corrected so far, h of a
+measurement h . x, which comes and goes zero, gains whose products the covariance has yet to lose,
+as many as are `pending`, zeros else, and room to work in."""
+
 
 @kernel
-def propagate(p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats) -> None:
+def propagate(
+    p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats, turned: Floats
+) -> None:
     """Propagate the covariance `p` [n, n] over an interval, without noise.
 
     `rotation_s` [3, 3] is the integral of C_nb [s], `rate` [3] the mean measured rate [rad/s],
-    `impulse` [3] the integral of the specific force in earth axes [m/s]:
+    `impulse` [3] the integral of the specific force in earth axes [m/s], `turned` [3, n] room:
 
         psi' = psi - rotation_s (bias + matrix rate)
         v'   = v + psi x impulse - rotation_s accelerometer_bias
 
     The rows are turned for all columns; of the columns only where row and column change both.
     """
-    turn_rows(p, states, rotation_s, rate, impulse)
+    turn_rows(p, states, rotation_s, rate, impulse, turned)
     for row in range(3):
         _turn_row(p, row, states, rotation_s, rate, impulse)
     if states > GATED:
@@ -58,12 +72,15 @@ def propagate(p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse:
 
 
 @kernel
-def turn_rows(p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats) -> None:
+def turn_rows(
+    p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats, turned: Floats
+) -> None:
     """Apply the transition to the rows of `p` [n, n] alone: the covariance of after and before."""
-    turned = np.empty((3, ERROR_STATES))
     if states > GATED:
-        _turn_velocity_rows(p, states, rotation_s, impulse, turned)
-    _turn_angle_rows(p, states, rotation_s, rate, turned)
+        _turn_velocity_rows(p, rotation_s, impulse, turned)
+        _turn_angle_rows(p, rotation_s, rate, turned)
+    else:
+        _turn_gated_rows(p, rotation_s, turned)
 
 
 # Sums of rows go to `turned` first: only where what is read is not what is written can the compiler
@@ -71,39 +88,42 @@ def turn_rows(p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse:
 
 
 @kernel
-def _turn_velocity_rows(
-    p: Floats, states: int, rotation_s: Floats, impulse: Floats, turned: Floats
-) -> None:
+def _turn_velocity_rows(p: Floats, rotation_s: Floats, impulse: Floats, turned: Floats) -> None:
     v, w = VELOCITY, ACCEL_BIAS
     for i in range(3):
         k, m = (i + 1) % 3, (i + 2) % 3
         a, b = impulse[m], -impulse[k]
         d, e, f = rotation_s[i, 0], rotation_s[i, 1], rotation_s[i, 2]
-        for j in range(states):
+        for j in range(ERROR_STATES):
             turned[i, j] = (a * p[k, j] + b * p[m, j]) - (
                 d * p[w, j] + e * p[w + 1, j] + f * p[w + 2, j]
             )
     for i in range(3):
-        for j in range(states):
+        for j in range(ERROR_STATES):
             p[v + i, j] += turned[i, j]
 
 
 @kernel
-def _turn_angle_rows(
-    p: Floats, states: int, rotation_s: Floats, rate: Floats, turned: Floats
-) -> None:
+def _turn_angle_rows(p: Floats, rotation_s: Floats, rate: Floats, turned: Floats) -> None:
     a, b, c = rate[0], rate[1], rate[2]
     for i in range(3):
         n, m = GYRO_BIAS + i, GYRO_MATRIX + 3 * i
-        if states > GATED:
-            for j in range(states):
-                turned[i, j] = p[n, j] + (a * p[m, j] + b * p[m + 1, j] + c * p[m + 2, j])
-        else:
-            for j in range(states):
-                turned[i, j] = p[n, j]
+        for j in range(ERROR_STATES):
+            turned[i, j] = p[n, j] + (a * p[m, j] + b * p[m + 1, j] + c * p[m + 2, j])
     for i in range(3):
         a, b, c = rotation_s[i, 0], rotation_s[i, 1], rotation_s[i, 2]
-        for j in range(states):
+        for j in range(ERROR_STATES):
+            p[i, j] -= a * turned[0, j] + b * turned[1, j] + c * turned[2, j]
+
+
+@kernel
+def _turn_gated_rows(p: Floats, rotation_s: Floats, turned: Floats) -> None:
+    for i in range(3):
+        for j in range(GATED):
+            turned[i, j] = p[GYRO_BIAS + i, j]
+    for i in range(3):
+        a, b, c = rotation_s[i, 0], rotation_s[i, 1], rotation_s[i, 2]
+        for j in range(GATED):
             p[i, j] -= a * turned[0, j] + b * turned[1, j] + c * turned[2, j]
 
 
@@ -160,73 +180,122 @@ def tilt_variance(p: Floats) -> float:
 
 
 @kernel
-def correct(
-    p: Floats, correction: Floats, states: int, h: Floats, innovation: float, variance: float
-) -> None:
-    """Measure h . x, `innovation` by the state as it was.
+def correct(state: Record, innovation: float, variance: float) -> None:
+    """Measure h . x of the state's `measured` h [n], `innovation` by the state as it was.
 
-    `h` [n] is looked at by threes, so one of few parts costs little.
+    h is looked at by threes, so one of few parts costs little.
     """
-    ph = np.zeros(ERROR_STATES)
+    p, h, ph, g = state["covariance"], state["measured"], state["gain"], state["gains"]
+    states, correction = state["states"], state["correction"]
+    a = b = c = 0.0
+    for i in range(ERROR_STATES):
+        ph[i] = 0.0
     for j in range(0, states, 3):
         x, y, z = h[j], h[j + 1], h[j + 2]
         if x != 0.0 or y != 0.0 or z != 0.0:
             for i in range(states):
                 ph[i] += x * p[j, i] + y * p[j + 1, i] + z * p[j + 2, i]
             innovation -= x * correction[j] + y * correction[j + 1] + z * correction[j + 2]
-    for j in range(states):
-        variance += h[j] * ph[j]
-    _take(p, correction, states, ph, innovation, variance)
+            a += x * g[0, j] + y * g[0, j + 1] + z * g[0, j + 2]
+            b += x * g[1, j] + y * g[1, j + 1] + z * g[1, j + 2]
+            c += x * g[2, j] + y * g[2, j + 1] + z * g[2, j + 2]
+    _lose_pending(state, a, b, c)
+    for j in range(0, states, 3):
+        x, y, z = h[j], h[j + 1], h[j + 2]
+        if x != 0.0 or y != 0.0 or z != 0.0:
+            variance += x * ph[j] + y * ph[j + 1] + z * ph[j + 2]
+    _take(state, innovation, variance)
 
 
 @kernel
-def correct_state(
-    p: Floats, correction: Floats, states: int, state: int, measured: float, variance: float
-) -> None:
+def correct_state(state: Record, which: int, measured: float, variance: float) -> None:
     """Measure one error state directly."""
-    ph = np.zeros(ERROR_STATES)
-    for i in range(states):
-        ph[i] = p[state, i]
-    _take(p, correction, states, ph, measured - correction[state], p[state, state] + variance)
+    p, ph, g = state["covariance"], state["gain"], state["gains"]
+    for i in range(ERROR_STATES):
+        ph[i] = p[which, i]
+    _lose_pending(state, g[0, which], g[1, which], g[2, which])
+    _take(state, measured - state["correction"][which], ph[which] + variance)
 
 
 @kernel
-def _take(
-    p: Floats, correction: Floats, states: int, ph: Floats, innovation: float, variance: float
-) -> None:
-    """Take one innovation of `variance`, `ph` [n] being P h, into correction and covariance."""
+def _lose_pending(state: Record, a: float, b: float, c: float) -> None:
+    """Take from `gain` what the covariance has yet to lose; fewer than four are pending."""
+    ph, g = state["gain"], state["gains"]
+    if state["pending"] > 0:
+        for i in range(ERROR_STATES):
+            ph[i] -= a * g[0, i] + b * g[1, i] + c * g[2, i]
+
+
+@kernel
+def _take(state: Record, innovation: float, variance: float) -> None:
+    """Take one innovation of `variance`, `gain` [n] being P h, into correction and covariance."""
+    p, ph, g, correction = state["covariance"], state["gain"], state["gains"], state["correction"]
     # Scaled by the root, row i times column j is the product of j times i to the last bit.
     scale = 1.0 / math.sqrt(variance)
-    for i in range(states):
+    step = innovation * scale
+    if state["states"] == GATED:
+        for i in range(GATED):
+            ph[i] *= scale
+            correction[i] += ph[i] * step
+        for i in range(GATED):
+            for j in range(GATED):
+                p[i, j] -= ph[i] * ph[j]
+        return
+    n = state["pending"]
+    for i in range(ERROR_STATES):
         ph[i] *= scale
-    for i in range(states):
-        x = ph[i]
-        correction[i] += x * (scale * innovation)
-        for j in range(states):
-            p[i, j] -= x * ph[j]
+        g[n, i] = ph[i]
+        correction[i] += ph[i] * step
+    state["pending"] = n + 1
+    if n == 3:
+        settle(state)
 
 
 @kernel
-def correct_tilt(state: Record, correction: Floats, h: Floats, axis: int, variance: float) -> None:
-    """Measure the error angle about north (0) or east (1) by gravity; `h` [n] comes and goes zero.
+def settle(state: Record) -> None:
+    """Take from the covariance the products of the pending gains: four at once, read once."""
+    if state["pending"] == 0:
+        return
+    p, g = state["covariance"], state["gains"]
+    for i in range(ERROR_STATES):
+        a, b, c, d = g[0, i], g[1, i], g[2, i], g[3, i]
+        for j in range(ERROR_STATES):
+            p[i, j] -= a * g[0, j] + b * g[1, j] + c * g[2, j] + d * g[3, j]
+    for k in range(4):
+        for i in range(ERROR_STATES):
+            g[k, i] = 0.0
+    state["pending"] = 0
+
+
+@kernel
+def variance_of(state: Record, which: int) -> float:
+    """Variance of one error state, all that was measured taken into account."""
+    g = state["gains"]
+    pending = g[0, which] ** 2 + g[1, which] ** 2 + g[2, which] ** 2
+    return float(state["covariance"][which, which] - pending)
+
+
+@kernel
+def correct_tilt(state: Record, axis: int, variance: float) -> None:
+    """Measure the error angle about north (0) or east (1) by gravity.
 
     What the accelerometer's bias adds: -(C b)_E / g about north, (C b)_N / g about east.
     """
-    dcm = state["dcm"]
+    dcm, h = state["dcm"], state["measured"]
     h[axis] = 1.0
     for i in range(3):
         bias = -dcm[1, i] if axis == 0 else dcm[0, i]
         h[ACCEL_BIAS + i] = bias / STANDARD_GRAVITY_M_S2
-    measured = state["tilt_innovation_rad"][axis]
-    correct(state["covariance"], correction, state["states"], h, measured, variance)
+    correct(state, state["tilt_innovation_rad"][axis], variance)
     h[axis] = 0.0
     h[ACCEL_BIAS] = h[ACCEL_BIAS + 1] = h[ACCEL_BIAS + 2] = 0.0
 
 
 @kernel
-def apply_correction(state: Record, correction: Floats) -> None:
+def apply_correction(state: Record) -> None:
     """Move the correction into the state; the averaged force turns with the attitude."""
-    for i in range(state["states"]):
+    correction = state["correction"]
+    for i in range(ERROR_STATES):
         state["applied"][i] += correction[i]
     x, y, z = correction[0], correction[1], correction[2]
     multiply(from_rotation_vector(x, y, z), state["ned_from_body"], state["ned_from_body"])
@@ -269,9 +338,9 @@ def turn_about_down(state: Record, angle_rad: float) -> None:
         state["force_before_ned_m_s2"],
     ):
         vector[0], vector[1] = c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]
-    for n in range(len(state["history_m_s"])):
-        v = state["history_m_s"][n]
-        v[0], v[1] = c * v[0] - s * v[1], s * v[0] + c * v[1]
+    v = state["history_m_s"]
+    for n in range(v.shape[1]):
+        v[0, n], v[1, n] = c * v[0, n] - s * v[1, n], s * v[0, n] + c * v[1, n]
     state["turned_rad"] += angle_rad
     p, applied = state["covariance"], state["applied"]
     for k in (ANGLE, VELOCITY, WIND):

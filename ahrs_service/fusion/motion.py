@@ -20,7 +20,7 @@ from ahrs_service.fusion import aiding
 from ahrs_service.fusion.mekf import correct, correct_state
 from ahrs_service.fusion.states import ACCEL_BIAS, AIDED, VELOCITY, WIND
 from ahrs_service.kernel import kernel
-from ahrs_service.records import Airframe, Floats, Record
+from ahrs_service.records import Airframe, Record
 
 MOTION_FIELDS: Final = [
     ("velocity_ned_m_s", "f8", 3),
@@ -68,14 +68,13 @@ def _airspeed_is_usable(settings: Record, state: Record, airframe: int) -> bool:
 
 
 @kernel
-def bound_velocity(
-    settings: Record, state: Record, airframe: int, correction: Floats, h: Floats, dt_s: float
-) -> None:
+def bound_velocity(settings: Record, state: Record, airframe: int, dt_s: float) -> None:
     """Measure the velocity through the air by what the airframe can do, or by airspeed.
 
-    `h` [n] comes and goes zero. With axis a of the body in earth axes, v_body = a . (v - wind), so
-    h = (a x (v - wind), a, -a) for the errors of angle, velocity and wind.
+    With axis a of the body in earth axes, v_body = a . (v - wind), so h = (a x (v - wind), a, -a)
+    for the errors of angle, velocity and wind.
     """
+    h = state["measured"]
     measured = state["states"] == AIDED and aiding.is_fresh(state)
     for i in range(3):
         expected = settings["forward_speed_m_s"][airframe] if i == 0 else 0.0
@@ -95,24 +94,20 @@ def bound_velocity(
         if measured:
             correlation_s = max(correlation_s, TRIM_CORRELATION_S)
         variance = sigma * sigma * max(1.0, correlation_s / dt_s)
-        _correct_along(state, correction, h, i, expected, variance)
+        _correct_along(state, i, expected, variance)
         h[ACCEL_BIAS + i] = 0.0
     if measured:
         return
     sigma = settings["climb_sigma_m_s"][airframe]
     variance = sigma * sigma * max(1.0, settings["climb_correlation_s"][airframe] / dt_s)
-    climbed = state["velocity_ned_m_s"][2]
-    correct_state(
-        state["covariance"], correction, state["states"], VELOCITY + 2, -climbed, variance
-    )
+    correct_state(state, VELOCITY + 2, -state["velocity_ned_m_s"][2], variance)
 
 
 @kernel
-def _correct_along(
-    state: Record, correction: Floats, h: Floats, i: int, expected: float, variance: float
-) -> None:
+def _correct_along(state: Record, i: int, expected: float, variance: float) -> None:
     """Measure the velocity through the air along body axis `i`."""
     velocity, wind, dcm = state["velocity_ned_m_s"], state["wind_ned_m_s"], state["dcm"]
+    h = state["measured"]
     x, y, z = dcm[0, i], dcm[1, i], dcm[2, i]
     u, v, w = velocity[0] - wind[0], velocity[1] - wind[1], velocity[2]
     h[0], h[1], h[2] = y * w - z * v, z * u - x * w, x * v - y * u
@@ -120,6 +115,6 @@ def _correct_along(
     if state["states"] == AIDED:
         h[WIND], h[WIND + 1] = -x, -y
     innovation = expected - (x * u + y * v + z * w)
-    correct(state["covariance"], correction, state["states"], h, innovation, variance)
+    correct(state, innovation, variance)
     for j in range(3):
         h[j] = h[VELOCITY + j] = h[WIND + j] = 0.0

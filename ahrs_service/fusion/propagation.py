@@ -1,6 +1,6 @@
 """From sample to sample: attitude and velocity move at once, the covariance once per turn.
 
-A turn is at least 80 ms long; between turns the integrals that the covariance needs are gathered,
+A turn is about 100 ms long; between turns the integrals that the covariance needs are gathered,
 so a fast IMU costs little more than a slow one.
 """
 
@@ -45,8 +45,8 @@ PROPAGATION_FIELDS: Final = [
 """Fields of the pipeline's state that this module keeps; the last two: what was corrected since
 the covariance last grew, and how far all was turned about down [rad]."""
 
-TURN_S: Final = 0.08
-"""Corrections 12 times a second follow what drifts over seconds; shorter turns gain nothing."""
+TURN_S: Final = 0.1
+"""Corrections 10 times a second follow what drifts over seconds; shorter turns gain nothing."""
 GAP_RATE_SIGMA_RAD_S: Final = 1.0
 """What a small UAV may have turned, per second that no sample came [rad/s]."""
 GAP_FORCE_SIGMA_M_S2: Final = 3.0
@@ -85,11 +85,12 @@ def move(
         state["turn_angle_variance"] += (GAP_RATE_SIGMA_RAD_S * dt_s) ** 2
         state["interval_before_s"] = 0.0
     else:
-        state["turn_angle_variance"] += change2 * dt_s * dt_s / 48.0
+        state["turn_angle_variance"] += change2 * dt_s * dt_s * (1.0 / 48.0)
         before_s, is_mean = state["interval_before_s"], settings["samples_are_means"] != 0
         state["interval_before_s"] = dt_s
         strapdown.rotate(state["ned_from_body"], earlier, before, rate, before_s, dt_s, is_mean)
-    _smooth_rate(settings, state, rate, dt_s)
+    pull_per_s = 1.0 / (settings["smoothing_s"] + dt_s)
+    _smooth_rate(state, rate, pull_per_s, dt_s)
     matrix(state["ned_from_body"], dcm)
     for i in range(3):
         for j in range(3):
@@ -98,7 +99,7 @@ def move(
     if flags & (_GAP | _ACCEL_MISSING):
         state["turn_velocity_variance"] += (GAP_FORCE_SIGMA_M_S2 * dt_s) ** 2
     else:
-        norm2 = _average_force(settings, state, accel, dt_s)
+        norm2 = _average_force(state, accel, pull_per_s * dt_s)
         if settings["use_velocity"] != 0:
             _move_velocity(settings, state, airframe, accel, dt_s, norm2)
 
@@ -121,19 +122,17 @@ def _take_rate(state: Record, gyro: Floats, dt_s: float) -> tuple[float, float]:
 
 
 @kernel
-def _smooth_rate(settings: Record, state: Record, rate: Floats, dt_s: float) -> None:
+def _smooth_rate(state: Record, rate: Floats, pull_per_s: float, dt_s: float) -> None:
     """Follow the smoothed rate and its derivative, which the gates look at."""
-    weight = dt_s / (settings["smoothing_s"] + dt_s)
+    smooth, derivative = state["smooth_rate_rad_s"], state["angular_acceleration_rad_s2"]
     for i in range(3):
-        step = weight * (rate[i] - state["smooth_rate_rad_s"][i])
-        state["smooth_rate_rad_s"][i] += step
-        state["angular_acceleration_rad_s2"][i] = step / dt_s
+        derivative[i] = pull_per_s * (rate[i] - smooth[i])
+        smooth[i] += derivative[i] * dt_s
 
 
 @kernel
-def _average_force(settings: Record, state: Record, accel: Floats, dt_s: float) -> float:
+def _average_force(state: Record, accel: Floats, weight: float) -> float:
     """Average the force in earth axes, where gravity stands still; return its squared norm."""
-    weight = dt_s / (settings["smoothing_s"] + dt_s)
     dcm, average, now = state["dcm"], state["force_ned_m_s2"], state["force_now_ned_m_s2"]
     norm2 = 0.0
     for i in range(3):
@@ -196,10 +195,11 @@ def grow(settings: Record, state: Record, degc: float, is_compensated: bool) -> 
     rate = state["turn_gyro_rad"]
     state["turned_rad"] = 0.0
     for i in range(ERROR_STATES):
-        state["applied"][i] = 0.0
+        state["applied"][i] = state["correction"][i] = 0.0
     for i in range(3):
         rate[i] /= turn_s
-    mekf.propagate(p, states, state["turn_rotation_s"], rate, state["turn_impulse_m_s"])
+    rotation_s, impulse = state["turn_rotation_s"], state["turn_impulse_m_s"]
+    mekf.propagate(p, states, rotation_s, rate, impulse, state["turned_rows"])
     angle = settings["gyro_noise_rad_s_rthz"] ** 2 * turn_s + state["turn_angle_variance"]
     bias = settings["gyro_bias_walk_rad_s2_rthz"] ** 2 * turn_s
     per_rtdegc = settings["gyro_bias_per_rtdegc_rad_s"]
@@ -214,7 +214,7 @@ def grow(settings: Record, state: Record, degc: float, is_compensated: bool) -> 
             p[ACCEL_BIAS + i, ACCEL_BIAS + i] += ACCEL_BIAS_WALK**2 * turn_s
         if states == AIDED and i < 2:
             p[WIND + i, WIND + i] += WIND_WALK_M_S_RTS**2 * turn_s
-    bound_attitude(p)
+    bound_attitude(p, states)
 
 
 @kernel

@@ -25,7 +25,8 @@ CONFIRM_S: Final = 1.0
 FORCE_SIGMA_M_S2: Final = 0.2
 """An idle engine or a hand on the wing shake more than this [m/s^2]."""
 RATE_RAD_S: Final = 0.1
-FORCE_ERROR_M_S2: Final = 0.5
+FORCE_ERROR_M_S2: Final = 1.2
+"""More no accelerometer is wrong by (force_scale.LARGEST) [m/s^2]."""
 MOVING_AIRSPEED_M_S: Final = 6.0
 """Gusts on a pitot tube of a standing vehicle stay below this [m/s]."""
 MOVING_SPEED_M_S: Final = 2.0
@@ -44,6 +45,14 @@ BIAS_FLOOR_RAD_S: Final = 0.01
 """A bias may step by this between power-on and flight and is still learnt [rad/s]."""
 LONG_REST_S: Final = 5.0
 """After so much stillness a rate is a bias that has stepped, however well it was known [s]."""
+
+
+@kernel
+def start(state: Record, accel: Floats) -> None:
+    """Begin the average of the force with the first one, and with the doubt of having no other."""
+    for i in range(3):
+        state["mean_force_m_s2"][i] = accel[i]
+    state["force_variance"] = STANDARD_GRAVITY_M_S2**2
 
 
 @kernel
@@ -116,26 +125,26 @@ def doubt_bias(state: Record, dt_s: float) -> None:
 
 
 @kernel
-def hold(state: Record, correction: Floats, h: Floats, dt_s: float, rate_sigma: float) -> None:
-    """Measure velocity 0, the tilt by the force, and the gyro's bias; `h` [n] comes and goes zero.
+def hold(state: Record, dt_s: float, rate_sigma: float) -> None:
+    """Measure velocity 0, the tilt by the force, and the gyro's bias.
 
     Velocity 0 along an earth axis a is a . v = 0 whatever the heading: h = (a x v, a).
     """
-    p, states, velocity = state["covariance"], state["states"], state["velocity_ned_m_s"]
+    h, velocity = state["measured"], state["velocity_ned_m_s"]
     variance = VELOCITY_SIGMA_M_S**2 * max(1.0, VELOCITY_CORRELATION_S / dt_s)
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         h[VELOCITY + i] = 1.0
         h[j], h[k] = -velocity[k], velocity[j]
-        mekf.correct(p, correction, states, h, -velocity[i], variance)
+        mekf.correct(state, -velocity[i], variance)
         h[VELOCITY + i] = h[j] = h[k] = 0.0
     force2 = state["force_variance"] / 3.0 + FORCE_FLOOR_M_S2**2
     variance = force2 / STANDARD_GRAVITY_M_S2**2 * max(1.0, FORCE_CORRELATION_S / dt_s)
     for axis in range(2):
-        mekf.correct_tilt(state, correction, h, axis, variance)
+        mekf.correct_tilt(state, axis, variance)
     variance = rate_sigma * rate_sigma * max(1.0, RATE_CORRELATION_S / dt_s)
     for i in range(3):
         n = GYRO_BIAS + i
         rate = state["mean_rate_rad_s"][i] - state["gyro_bias_rad_s"][i]
-        if rate * rate < BIAS_GATE**2 * (p[n, n] + BIAS_FLOOR_RAD_S**2):
-            mekf.correct_state(p, correction, states, n, rate, variance)
+        if rate * rate < BIAS_GATE**2 * (mekf.variance_of(state, n) + BIAS_FLOOR_RAD_S**2):
+            mekf.correct_state(state, n, rate, variance)

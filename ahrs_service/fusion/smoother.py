@@ -157,8 +157,9 @@ def _step_back(
     predicted[:] = p
     gain[:] = p
     rotation_s, rate, impulse = node["rotation_s"], node["rate_rad_s"], node["impulse_m_s"]
-    mekf.turn_rows(gain, n, rotation_s, rate, impulse)
-    mekf.propagate(predicted, n, rotation_s, rate, impulse)
+    # `change` is written only afterwards: room till then.
+    mekf.turn_rows(gain, n, rotation_s, rate, impulse, change)
+    mekf.propagate(predicted, n, rotation_s, rate, impulse, change)
     _add_noise(predicted, gain, n, node["variance"])
     for i in range(n):
         for j in range(n):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ahrs_service.comparison import compare, statistics, steady_flight
+from ahrs_service.comparison import compare, motion, rate_around, statistics, steady_flight
 from ahrs_service.records import ESTIMATE_DTYPE, Phase, empty
 from ahrs_service.rotation import (
     euler_columns,
@@ -147,19 +147,36 @@ def test_a_session_without_reference_does_not_shift_the_pairs():
     assert found.compared == len(THEIRS_S)
 
 
-def test_steady_flight_is_slow_level_and_lasts():
-    t_s = np.arange(0.0, 40.0, 0.1)
-    roll = np.zeros(len(t_s))
-    fast = (t_s >= 10.0) & (t_s < 12.0)
-    roll[fast] = 0.3 * np.sin(2.0 * np.pi * (t_s[fast] - 10.0))
+def test_steady_flight_is_straight_level_in_the_air_and_lasts():
+    t_s = np.arange(0.0, 60.0, 0.02)
+    roll, yaw = 0.02 * np.sin(2.0 * np.pi * t_s), np.zeros(len(t_s))
+    turning = (t_s >= 10.0) & (t_s < 14.0)
+    yaw[turning] = 0.5 * (t_s[turning] - 10.0)
+    yaw[t_s >= 14.0] = 2.0
     roll[(t_s >= 20.0) & (t_s < 30.0)] = np.radians(40.0)
-    roll[(t_s >= 33.05) & (t_s < 34.45)] = 0.1
-    mask, duration_s = steady_flight(*reference_of(t_s, np.stack([roll, 0 * roll, 0 * roll], -1)))
-    assert mask[t_s < 9.9].all()
-    assert not mask[(t_s > 20.0) & (t_s < 29.9)].any()
-    assert not mask[(t_s > 33.05) & (t_s < 34.4)].any()
-    # 0-10, 12-20, 30-33 and 34.5-39.9 s
-    assert duration_s == pytest.approx(26.0, abs=1.0)
+    level_for_a_second = (t_s >= 31.0) & (t_s < 32.0)
+    roll[(t_s >= 30.0) & (t_s < 33.0) & ~level_for_a_second] = np.radians(40.0)
+    on_the_ground = t_s >= 45.0
+    roll[on_the_ground] = 0.0
+    euler = np.stack([roll, 0.0 * roll, yaw], axis=-1)
+    time_ns, attitude = reference_of(t_s, euler)
+    found = motion(estimates_of(t_s, euler), time_ns)
+    mask, duration_s = steady_flight(time_ns, attitude, *found)
+    assert mask[(t_s > 1.0) & (t_s < 8.5)].all()
+    assert not mask[(t_s > 10.0) & (t_s < 14.0)].any()
+    assert not mask[(t_s > 20.0) & (t_s < 33.0)].any()
+    assert not mask[t_s > 46.0].any()
+    # 0 to 9.4, 14.6 to 19, 34 to 46 s: a second is looked at to either side.
+    assert duration_s == pytest.approx(26.0, abs=2.0)
+
+
+def test_the_rate_around_an_instant_is_that_of_a_second_to_either_side():
+    stamps = np.arange(0, 10 * S, S // 100)
+    t_s = stamps / S
+    rate = np.stack([0.1 + 0.05 * np.sin(2.0 * np.pi * t_s), 0.0 * t_s, 0.0 * t_s], axis=-1)
+    turn, wobble = rate_around(stamps, rate, np.array([5 * S]))
+    assert turn[0] == pytest.approx(0.1, abs=1e-3)
+    assert wobble[0] == pytest.approx(0.05 / np.sqrt(2.0), rel=0.01)
 
 
 def test_statistics_of_known_numbers():

@@ -59,7 +59,7 @@ from tilt_witness import (
 )
 from witness_statistics import doubtful, fault, nearer, spans
 
-from ahrs_service.comparison import compare, steady_flight
+from ahrs_service.comparison import compare, rate_around, steady_flight
 from ahrs_service.records import Airframe, Phase
 from ahrs_service.rotation import inverse_columns, rotate_columns
 from links.recording_formats import read_recording
@@ -124,7 +124,8 @@ def segments(all_of: Attitudes, middle_s: Floats) -> dict[str, Any]:
     )
     tilt = np.interp(middle_s, all_of.t_s, np.arccos(np.clip(down[:, 2], -1.0, 1.0)))
     rate = np.interp(middle_s, all_of.t_s, np.linalg.norm(all_of.gyro, axis=1))
-    calm, _ = steady_flight((all_of.reference_s * 1e9).astype(np.int64), all_of.reference)
+    stamps, instants = ((t * 1e9).astype(np.int64) for t in (all_of.t_s, all_of.reference_s))
+    calm, _ = steady_flight(instants, all_of.reference, *rate_around(stamps, all_of.gyro, instants))
     steady = np.interp(middle_s, all_of.reference_s, calm.astype(np.float64)) > 0.5
     wild = (rate > FAST_RAD_S) | (tilt > STEEP_RAD)
     every = np.ones(len(middle_s), bool)

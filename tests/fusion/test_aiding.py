@@ -67,6 +67,20 @@ def test_the_lag_is_learnt_and_the_attitude_better_for_it(flight, lag_s):
     assert np.mean(np.abs(turn[6000:]) < 2.0 * np.degrees(sigma)) > 0.9
 
 
+def test_a_velocity_with_every_sample_counts_no_more_than_that_of_a_receiver(flight):
+    """A hundred a second share their error: the filter may not be surer for them than for 5."""
+    samples = heard(flight)
+    often = samples.copy()
+    often["velocity_ned_m_s"][:, :2] = flight.rows["velocity_ned_m_s"][:, :2]
+    (_, state), (_, state_often) = run(samples), run(often)
+    assert state_often["states"] == states.AIDED
+    for first in (states.ANGLE, states.VELOCITY):
+        sigma, sigma_often = (
+            np.sqrt(np.diag(one["covariance"])[first : first + 2]) for one in (state, state_often)
+        )
+        assert (sigma_often > 0.7 * sigma).all()
+
+
 def test_the_wind_is_told_from_the_airspeed(flight):
     samples = heard(flight)
     samples["airspeed_m_s"][::EVERY] = flight.rows["airspeed_m_s"][::EVERY]
@@ -94,6 +108,24 @@ def test_a_velocity_in_other_axes_than_the_compass_is_let_go(flight):
     assert rms(errors_deg(estimates, truth)[0][2000:]) < 1.5 + 2.0 * rms(
         errors_deg(alone, truth)[0][2000:]
     )
+
+
+def test_a_magnetometer_that_comes_later_takes_over_where_the_velocity_vanishes(flight):
+    """The heading is that of the velocity as long as there is one, and does not run free then."""
+    samples = heard(flight)
+    fields = samples_of(flight, Airframe.FIXED_WING, magnetometer=True)["mag_ut"]
+    samples["mag_ut"][3000:] = fields[3000:]
+    _, early = run(samples[:5000])
+    assert early["heading_source"] == heading.VELOCITY
+    samples["velocity_ned_m_s"][5000:] = np.nan
+    estimates, state = run(samples)
+    assert state["heading_source"] == heading.FIELD
+    free = samples.copy()
+    free["mag_ut"] = np.nan
+    sigma, sigma_free = (one["attitude_sigma_rad"][-1, 2] for one in (estimates, run(free)[0]))
+    assert sigma < sigma_free
+    turn = errors_deg(estimates, flight.rows["ned_from_body"])[1][6000:]
+    assert rms(turn) < 10.0
 
 
 def test_numbers_without_sense_move_nothing_for_long(flight):

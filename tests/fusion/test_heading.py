@@ -7,6 +7,7 @@ import pytest
 
 from ahrs_service import pipeline
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2 as G
+from ahrs_service.fusion import heading
 from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, Phase, empty
 from ahrs_service.rotation import (
     euler_columns,
@@ -80,6 +81,18 @@ def test_first_heading_is_magnetic_north_plus_declination(yaw):
     found = euler_columns(estimates["ned_from_body"])[-1, 2]
     expected = yaw + np.radians(10.0)
     assert np.cos(found - expected) == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("offset", range(10))
+def test_a_slow_magnetometer_is_heard_at_whatever_sample_of_a_turn_it_comes(offset):
+    """As often as the turns end, so it always falls on the same sample of them."""
+    samples, _ = tumble(3.0, still_s=3.0, yaw=1.0)
+    slow = np.full_like(samples["mag_ut"], np.nan)
+    slow[at(1.5) + offset :: 10] = samples["mag_ut"][at(1.5) + offset :: 10]
+    samples["mag_ut"] = slow
+    estimates, state = run(samples)
+    assert state["heading_source"][0] == heading.FIELD
+    assert euler_columns(estimates["ned_from_body"])[-1, 2] == pytest.approx(1.0, abs=1e-3)
 
 
 @pytest.mark.parametrize("iron", [(0.0, 0.0, 25.0), (-6.0, 4.0, 3.0)])

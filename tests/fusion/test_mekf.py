@@ -36,18 +36,26 @@ def test_the_covariance_goes_on_as_by_the_dense_transition(count):
         f[6:9, 0:3] = -cross(impulse)
         f[6:9, 9:12] = -rotation_s
     expected = f @ p @ f.T
-    mekf.propagate(p, count, rotation_s, rate, impulse)
+    mekf.propagate(p, count, rotation_s, rate, impulse, np.empty((3, states.ERROR_STATES)))
     np.testing.assert_allclose(p, expected, rtol=1e-12, atol=1e-12)
     np.testing.assert_array_equal(p, p.T)
 
 
+def filter_state(rng, count):
+    """State of a filter of `count` error states, of the others the variances are 0."""
+    state = new_state()[0]
+    state["states"] = count
+    state["covariance"][:] = covariance(rng, count)
+    return state
+
+
+@pytest.mark.parametrize("measurements", [1, 2, 3, 4, 6])
 @pytest.mark.parametrize("count", COUNTS)
-def test_two_measurements_correct_as_the_dense_filter_does(count):
+def test_measurements_correct_as_the_dense_filter_does(count, measurements):
     rng = np.random.default_rng(4)
-    p = covariance(rng, count)
-    expected_p, expected_x = p.copy(), np.zeros(states.ERROR_STATES)
-    correction = np.zeros(states.ERROR_STATES)
-    for _ in range(2):
+    state = filter_state(rng, count)
+    expected_p, expected_x = state["covariance"].copy(), np.zeros(states.ERROR_STATES)
+    for _ in range(measurements):
         h = np.zeros(states.ERROR_STATES)
         h[:count] = rng.normal(size=count) * (rng.random(count) < 0.3)
         innovation, variance = rng.normal(), 0.7
@@ -56,22 +64,32 @@ def test_two_measurements_correct_as_the_dense_filter_does(count):
         gain = expected_p @ h / s
         expected_x = expected_x + gain * surprise
         expected_p = expected_p - np.outer(gain, h @ expected_p)
-        mekf.correct(p, correction, count, h, innovation, variance)
+        state["measured"][:] = h
+        mekf.correct(state, innovation, variance)
+        for which in range(count):
+            assert mekf.variance_of(state, which) == pytest.approx(expected_p[which, which])
+    mekf.settle(state)
+    p = state["covariance"]
     np.testing.assert_allclose(p, expected_p, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(correction, expected_x, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(state["correction"], expected_x, rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(p, p.T)
 
 
-def test_one_state_measured_directly_is_the_row_of_a_unit_vector():
-    rng = np.random.default_rng(5)
-    p = covariance(rng, states.AIDED)
-    q, x, y = p.copy(), np.zeros(states.ERROR_STATES), np.zeros(states.ERROR_STATES)
-    h = np.zeros(states.ERROR_STATES)
-    h[8] = 1.0
-    mekf.correct_state(p, x, states.AIDED, 8, 0.3, 0.5)
-    mekf.correct(q, y, states.AIDED, h, 0.3, 0.5)
-    np.testing.assert_allclose(p, q, rtol=1e-12)
-    np.testing.assert_allclose(x, y, rtol=1e-12)
+@pytest.mark.parametrize("pending", [0, 1, 3])
+@pytest.mark.parametrize("count", COUNTS)
+def test_one_state_measured_directly_is_the_row_of_a_unit_vector(count, pending):
+    directly, by_row = (filter_state(np.random.default_rng(5), count) for _ in range(2))
+    for state in (directly, by_row):
+        for which in range(pending):
+            mekf.correct_state(state, which, 0.1, 0.4)
+    which = count - 1
+    mekf.correct_state(directly, which, 0.3, 0.5)
+    by_row["measured"][which] = 1.0
+    mekf.correct(by_row, 0.3, 0.5)
+    for state in (directly, by_row):
+        mekf.settle(state)
+    np.testing.assert_allclose(directly["covariance"], by_row["covariance"], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(directly["correction"], by_row["correction"], rtol=1e-9)
 
 
 @pytest.mark.parametrize("force", [(0.1, -0.2, -9.8), (5.0, 3.0, -8.0), (-2.0, 1.0, 6.0)])

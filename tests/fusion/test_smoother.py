@@ -54,7 +54,7 @@ class Problem:
         np.fill_diagonal(f, 1.0)
         if self.wind_at and turn == self.wind_at:
             f[VELOCITY, WIND] = f[VELOCITY + 1, WIND + 1] = 1.0
-        mekf.turn_rows(f, self.n, *way)
+        mekf.turn_rows(f, self.n, *way, np.empty((3, ERROR_STATES)))
         return f[: self.n, : self.n]
 
     def dense(self):
@@ -205,7 +205,8 @@ def _predict(turned, turned_before, node, before):
     predicted = []
     for one, start in ((node, before), (turned, turned_before)):
         p = covariance_of(start)
-        mekf.propagate(p, AIDED, one["rotation_s"], one["rate_rad_s"], one["impulse_m_s"])
+        way = one["rotation_s"], one["rate_rad_s"], one["impulse_m_s"]
+        mekf.propagate(p, AIDED, *way, np.empty((3, ERROR_STATES)))
         predicted.append(np.diag(p))
     turned["variance"] = node["variance"] - predicted[0] + predicted[1]
 
@@ -213,8 +214,8 @@ def _predict(turned, turned_before, node, before):
 def test_corrections_and_a_turn_about_down_after_them_add_up():
     state = pipeline.new_state()[0]
     state["states"] = AIDED
-    correction = np.linspace(0.01, 0.24, ERROR_STATES)
-    mekf.apply_correction(state, correction)
+    correction = state["correction"][:] = np.linspace(0.01, 0.24, ERROR_STATES)
+    mekf.apply_correction(state)
     mekf.turn_about_down(state, 0.7)
     _, whole = turned_about_down(0.7)
     np.testing.assert_allclose(state["applied"], whole @ correction, atol=1e-15)

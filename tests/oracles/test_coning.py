@@ -19,9 +19,12 @@ SECONDS = 12.0
 
 
 def estimates_of(samples, gyro_sample):
-    """The gate never opens once it moves: what follows is strapdown integration alone."""
+    """The gate never opens once it moves: what follows is strapdown integration alone.
+
+    By the rate, since at the onset of a motion the norm of the force changes to second order only.
+    """
     settings = Settings(
-        gate=GateSettings(norm_m_s2=1e-9),
+        gate=GateSettings(norm_m_s2=1e-9, rate_rad_s=1e-9),
         fusion=FusionSettings(mode="gated", airframe="other", gyro_sample=gyro_sample),
     )
     estimates = empty(ESTIMATE_DTYPE, len(samples))

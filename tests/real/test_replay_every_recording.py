@@ -29,18 +29,21 @@ REFUSED = {
     "umn_thor75_fixedwing_50hz.mat": r"\.mat is no log format",
     "x8_fixedwing_aerobatics_testlog2.mat": r"\.mat is no log format",
 }
-# 1-sigma of (roll, pitch) [deg] in steady flight that the estimator must stay below where the
-# IMU is fast enough to judge it: a wrong sign, unit or clock in a reader gives several times it.
-STEADY_LIMIT_DEG = {
+# 1-sigma of (roll, pitch) [deg] that the estimator must stay below, over the whole recording on
+# the ground, in steady flight else, where the IMU is fast enough to judge it: a wrong sign, unit
+# or clock in a reader gives several times it.
+GROUND_LIMIT_DEG = {
     "bench_cuavv5_2021-12-08.bin": 0.5,
     "bench_matekh743_2021_isbd2khz_warmup.bin": 0.5,
+    "px4_auavx2_quad_250hz.ulg": 0.5,
+    "px4_auavx2_quad_250hz_reencoded.tlog": 0.5,
+}
+STEADY_LIMIT_DEG = {
     "copter_erle_2014-09-07_50hz.bin": 4.0,
     "copter_pixhawk_log0036_crash_temp.bin": 1.0,
     "copter_pixhawk_log0039_temp.bin": 1.0,
     "copter_log0036_crash_dualimu_25hz_temp_reencoded.tlog": 1.0,
     "copter_quad106_50hz_reencoded.tlog": 3.0,
-    "px4_auavx2_quad_250hz.ulg": 0.5,
-    "px4_auavx2_quad_250hz_reencoded.tlog": 0.5,
     "px4_fmuv6c_quad_222hz.ulg": 2.0,
     "px4_fixedwing_swiss2_148hz_reencoded.tlog": 3.0,
     "x8_fixedwing_aerobatics_50hz_reencoded.tlog": 3.0,
@@ -71,6 +74,10 @@ def test_recording(path):
     assert bool([one for one in summary.warnings if "below 20 Hz" in one]) == (
         summary.imu_rate_hz < 20.0
     )
+    if path.name in GROUND_LIMIT_DEG:
+        limit = np.radians(GROUND_LIMIT_DEG[path.name])
+        assert summary.comparison.roll.sigma < limit
+        assert summary.comparison.pitch.sigma < limit
     if path.name in STEADY_LIMIT_DEG:
         limit = np.radians(STEADY_LIMIT_DEG[path.name])
         assert summary.comparison.steady_roll.sigma < limit
