@@ -118,7 +118,7 @@ def _flat_top(column: Floats) -> npt.NDArray[np.bool_]:
     steps = np.abs(np.diff(column))
     if not steps.any():
         return flat
-    usual = float(np.median(steps)) or float(np.min(steps[steps > 0.0]))
+    usual = float(np.median(steps[steps > 0.0]))
     fine = float(np.min(np.diff(np.unique(column)))) * _FINE < usual
     for extreme in (column.max(), column.min()):
         edges = np.diff(np.concatenate([[0], column == extreme, [0]]).astype(np.int8))

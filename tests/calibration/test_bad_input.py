@@ -128,7 +128,7 @@ def test_noise_and_rounding_are_no_saturation(seed, step, sigma):
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4))
 def test_a_clipped_swing_is_saturated_where_it_is_clipped(seed, times):
-    t = np.arange(400) / 100.0
+    t = np.arange(4000) / 100.0
     swing = np.stack([3.0 * np.sin(2.0 * t), np.cos(2.0 * t), 0.0 * t], axis=1)
     swing += np.random.default_rng(seed).normal(0.0, 1e-3, swing.shape)
     clipped = np.clip(swing, -2.0, 2.0)
