@@ -1,11 +1,11 @@
 """The estimator: one step from a sample to an estimate, and the batch that loops it.
 
-Each sample: compensation > vehicle's axes > strapdown > magnetic field. Each turn
-(`fusion.propagation`): covariance > gate > corrections by gravity, by rest or what bounds the
-velocity, by a measured velocity. No clock, no input or output: live service and replay call
-`batch`, for one sample or many, so that the same samples give the same bytes. Three structs:
-parameters (from settings), coefficients (from the calibration) and state, which can be saved and
-restored by its bytes at any sample.
+Each sample: compensation > vehicle's axes > strapdown. Each turn (`fusion.propagation`): covariance
+> gate > corrections by gravity, by rest or what bounds the velocity, by the magnetic field, by a
+measured velocity. No clock, no input or output: live service and replay call `batch`, for one
+sample or many, so that the same samples give the same bytes. Three structs: parameters (from
+settings), coefficients (from the calibration) and state, which can be saved and restored by its
+bytes at any sample.
 """
 
 import dataclasses

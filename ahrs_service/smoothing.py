@@ -43,7 +43,7 @@ def record(
 
 
 class Smoother:
-    """Runs the filter and remembers what the way back needs: 3.1 kB per turn, 140 MB an hour."""
+    """Runs the filter and remembers what the way back needs: 3.1 kB per turn, 110 MB an hour."""
 
     def __init__(self) -> None:
         self._nodes = np.zeros(_MIN_NODES, tape.NODE_DTYPE)
