@@ -24,6 +24,7 @@ from ahrs_service.fusion import (
     heading,
     mekf,
     motion,
+    plausibility,
     propagation,
     rest,
     tape,
@@ -51,11 +52,6 @@ _JUDGED_AT_ONCE = _SATURATED | _ACCEL_MISSING | _GAP
 
 REALIGN_GAP_S: Final = 5.0
 """After a gap longer than this the attitude before it says little: align anew [s]."""
-IMPOSSIBLE_RATE_RAD_S: Final = 1000.0
-IMPOSSIBLE_FORCE_M_S2: Final = 1e4
-"""No sensor measures this; NaN and infinity are not below it either."""
-SPIKE_RATE_RAD_S: Final = 10.0
-"""No airframe changes its rate by this much between two samples [rad/s]."""
 
 PARAMETERS_DTYPE: Final = np.dtype(
     [
@@ -110,6 +106,7 @@ STATE_DTYPE: Final = np.dtype(
         *force_scale.SCALE_FIELDS,
         *motion.MOTION_FIELDS,
         *aiding.AIDING_FIELDS,
+        *plausibility.PLAUSIBILITY_FIELDS,
         ("ned_from_body", "f8", 4),
         ("dcm", "f8", (3, 3)),
         ("gyro_rad_s", "f8", 3),
@@ -125,8 +122,6 @@ STATE_DTYPE: Final = np.dtype(
         ("rate_rad_s", "f8", 3),
         ("smooth_rate_rad_s", "f8", 3),
         ("angular_acceleration_rad_s2", "f8", 3),
-        ("spikes", "i8"),
-        ("spike_time_ns", "i8"),
         ("phase", "i8"),
     ]
 )
@@ -166,38 +161,6 @@ def parameters(settings: Settings) -> Rows:
     row["use_velocity"] = fusion.mode == "velocity"
     row["airframe"] = -1 if fusion.airframe == "auto" else Airframe[fusion.airframe.upper()]
     return row
-
-
-@kernel
-def _check_sensors(
-    settings: Record, state: Record, sample: Record, gyro: Floats, accel: Floats
-) -> int:
-    """Find clipped, missing and impossible values; a single impossible rate is held back."""
-    flags = 0
-    gyro_finite = accel_finite = True
-    clipped = False
-    jump2 = 0.0
-    for i in range(3):
-        gyro_finite = gyro_finite and abs(gyro[i]) < IMPOSSIBLE_RATE_RAD_S
-        accel_finite = accel_finite and abs(accel[i]) < IMPOSSIBLE_FORCE_M_S2
-        clipped = clipped or abs(sample["gyro_rad_s"][i]) >= settings["gyro_range_rad_s"]
-        clipped = clipped or abs(sample["accel_m_s2"][i]) >= settings["accel_range_m_s2"]
-        jump2 += (gyro[i] - state["rate_rad_s"][i] - state["gyro_bias_rad_s"][i]) ** 2
-    if not gyro_finite:
-        return _NOT_FINITE
-    if clipped:
-        flags |= _SATURATED
-    if not accel_finite:
-        flags |= _ACCEL_MISSING
-    known = state["samples"] > 1 and state["interval_s"] < timebase.LOW_RATE_INTERVAL_S
-    # The same sample again confirms nothing.
-    confirmed = state["spikes"] != 0 and sample["time_ns"] != state["spike_time_ns"]
-    if known and jump2 > SPIKE_RATE_RAD_S**2 and not confirmed:
-        state["spikes"] = 1
-        state["spike_time_ns"] = sample["time_ns"]
-        return flags | _SPIKE
-    state["spikes"] = 0
-    return flags
 
 
 @kernel
@@ -325,7 +288,7 @@ def take(
     flags = compensate_sample(coefficients, state, sample)
     turn(sample["vehicle_from_board"], gyro)
     turn(sample["vehicle_from_board"], accel)
-    found = _check_sensors(settings, state, sample, gyro, accel)
+    found = plausibility.check(settings, state, sample, gyro, accel)
     flags |= found
     if not found & (_NOT_FINITE | _SPIKE):
         dt_s, timing = timebase.advance(
