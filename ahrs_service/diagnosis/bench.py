@@ -12,7 +12,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ahrs_service.diagnosis.kalman import whiten_channel
-from ahrs_service.diagnosis.motion import GRAVITY_NED, covariates
+from ahrs_service.diagnosis.motion import GRAVITY_NED, covariates, slow_motion
 from ahrs_service.diagnosis.recorded import Recorded
 from ahrs_service.diagnosis.reference import Reference, body_vectors, excursions, jumps, turns
 from ahrs_service.diagnosis.residual import Grams, Noise
@@ -54,10 +54,9 @@ class BenchResidual:
         self._window = max(1, round(window_s / step_s))
         self._step_s = self._window * step_s
         self.time_s = self._windows(time_s)
-        misfit = np.hstack(
-            [recorded.gyro_rad_s[inside] - rate, recorded.accel_m_s2[inside] - force]
-        )
-        self.rows = self._windows(misfit)
+        readings = np.hstack([recorded.gyro_rad_s[inside], recorded.accel_m_s2[inside]])
+        self.largest = np.abs(slow_motion(time_s, readings, time_s)).max(axis=0)
+        self.rows = self._windows(readings - np.hstack([rate, force]))
         self.body = self.rows
         self.missing = self._without_reference(reference, time_s)
 

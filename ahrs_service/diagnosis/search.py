@@ -33,6 +33,7 @@ _KEPT_SHARE: Final = 0.25
 _APART: Final = 0.15
 _ALIKE_SHARE: Final = 0.7
 _FAR_MORE: Final = 1.15
+_SHARE_OF_UNKNOWN: Final = 0.3
 _LEAST_OF_LARGEST: Final = 0.96
 
 Progress = Callable[[float], None]
@@ -168,15 +169,17 @@ def search(residual: Residual, library: Library, progress: Progress | None = Non
     empty = bare(residual)
     tell(0.25)
     model, taken, unknown, main = empty, list[Step](), dict[str, float](), 0.0
+    unknowns: list[Step] = []
     for turn in range(_MOST_STEPS):
         step = best_step(residual, library, model, ALARM + SHARE_OF_MAIN * main)
-        if step is None or step.surprise < ALARM + SHARE_OF_MAIN * main:
+        if step is None or step.gain < _beside_unknown(step, unknowns):
             break
         main = max(main, step.gain)
         model = step.model
         choose(residual, model.noise, model.base, model.misfit)
         if step.candidate.effect is None:
             unknown[step.candidate.name] = step.surprise
+            unknowns.append(step)
         else:
             taken.append(step)
             model, taken = _swap(residual, library, model, taken)
@@ -201,6 +204,16 @@ def _overlap(model: Model, place: int) -> float:
     sigma = np.sqrt(np.maximum(np.diag(model.covariance), 1e-300))
     correlation = model.covariance / sigma[:, None] / sigma[None, :]
     return float(np.abs(correlation[np.ix_(own, ~own)]).max(initial=0.0))
+
+
+def _beside_unknown(step: Step, unknowns: list[Step]) -> float:
+    """Return the gain that a step needs where something unknown acts on its triad.
+
+    What a smooth form leaves of the unknown imitates much; only a part of its size is believed.
+    """
+    triad = step.candidate.name.split(" ")[0].split("_")[0]
+    there = [u.gain for u in unknowns if triad in (u.candidate.name.split(" ")[0], "imu")]
+    return _SHARE_OF_UNKNOWN * max(there, default=0.0)
 
 
 def _swap(
