@@ -2,9 +2,10 @@
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Annotated, ClassVar, Final
 
 import numpy as np
+from annotated_types import Ge, Gt, Le
 
 from ahrs_service.records import Floats, Rows
 from ahrs_service.rotation import inverse_columns, rotate_columns
@@ -40,9 +41,10 @@ def magnetic_field_ut(truth: Rows) -> Floats:
 class Warmth:
     """Temperatures: ambient at home [degC], self-heating of the box [K], its time constant [s]."""
 
-    ambient_degc: float = 18.0
-    heating_k: float = 15.0
-    time_constant_s: float = 15.0
+    __pydantic_config__: ClassVar = {"extra": "forbid"}
+    ambient_degc: Annotated[float, Ge(-80.0), Le(85.0)] = 18.0
+    heating_k: Annotated[float, Ge(-80.0), Le(80.0)] = 15.0
+    time_constant_s: Annotated[float, Gt(0.0)] = 15.0
 
     def ambient(self, truth: Rows) -> Floats:
         """Air temperature [N] [degC], falling with altitude."""

@@ -50,7 +50,10 @@ _VIBRATION_S: Final = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """What is flown, by which sensor, in which weather; with a `swing`, on a rate table."""
+    """What is flown, by which sensor, in which weather; with a `swing`, on a rate table.
+
+    Without a `warmth` the box warms up with a quarter of the flight as its time constant.
+    """
 
     text: str
     phases: Callable[[float], tuple[Phase, ...]]
@@ -58,6 +61,7 @@ class Scenario:
     turbulence: float = 1.0
     wind_m_s: float = 4.0
     swing: Swing | None = None
+    warmth: environment.Warmth | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,11 +126,22 @@ def make_flight(
     """
     if name not in SCENARIOS:
         raise ValueError(f"scenario = {name!r}: choose one of {', '.join(SCENARIOS)}")
+    return fly_scenario(name, SCENARIOS[name], seconds, seed, rate_hz, imu)
+
+
+def fly_scenario(
+    name: str,
+    scenario: Scenario,
+    seconds: float,
+    seed: int,
+    rate_hz: float,
+    imu: Imu | None = None,
+) -> Flight:
+    """Return the flight of a scenario that may be the caller's own, see `make_flight`."""
     if not (0.0 < seconds < math.inf):
         raise ValueError(f"seconds = {seconds:g}: give the length of the flight, such as 60")
     if not 1.0 <= rate_hz <= FASTEST_HZ:
         raise ValueError(f"rate = {rate_hz:g} Hz: choose 1 to {FASTEST_HZ:g} Hz")
-    scenario = SCENARIOS[name]
     imu = scenario.imu if imu is None else imu
     phases = scenario.phases(seconds)
     # One generator per part: a change in one does not shift the dice of the others.
@@ -139,7 +154,7 @@ def make_flight(
         curves = command_curves(phases, scenario.turbulence, dice[0])
         wind = scenario.wind_m_s * np.array([math.cos(bearing), math.sin(bearing), 0.0])
         truth = fly(curves, Bumps.draw(dice[1]), wind, float(heading), time_s)
-    warmth = environment.Warmth(time_constant_s=0.25 * seconds)
+    warmth = scenario.warmth or environment.Warmth(time_constant_s=0.25 * seconds)
     rows = _sense(truth, imu, warmth, rate_hz, dice[2])
     rows["estimate_ned_from_body"] = _estimate(truth, rate_hz, dice[3])
     return Flight(name, seed, rate_hz, phases, imu.calibration, rows)
