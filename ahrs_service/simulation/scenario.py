@@ -36,12 +36,14 @@ FLIGHT_DTYPE: Final[np.dtype[Any]] = np.dtype(
         ("pitot_pa", "f4"),
         ("estimate_ned_from_body", "f8", 4),
         ("vibration_m_s2", "f4", 3),
+        ("current_a", "f4"),
     ]
 )
 """The truth of a flight and what its sensors give: what links.autopilot sends.
 
 `gyro_rad_s` and `accel_m_s2` come from the IMU, `pitot_pa` is the dynamic pressure,
-`estimate_ned_from_body` the autopilot's own estimate, `vibration_m_s2` that of two seconds.
+`estimate_ned_from_body` the autopilot's own estimate, `vibration_m_s2` that of two seconds,
+`current_a` the battery's.
 """
 
 FASTEST_HZ: Final = 1000.0
@@ -169,10 +171,11 @@ def _sense(
     for name in TRUTH_DTYPE.names or ():
         rows[name] = truth[name]
     temperature = warmth.of_imu(truth, rate_hz)
-    gyro, accel = imu.measure(truth, temperature, rate_hz, rng)
+    current_a = environment.battery_current_a(truth["throttle"])
+    gyro, accel = imu.measure(truth, temperature, rate_hz, rng, current_a)
     altitude = environment.HOME_ALTITUDE_M - truth["position_ned_m"][:, 2]
     rows["gyro_rad_s"], rows["accel_m_s2"] = gyro, accel
-    rows["imu_degc"] = temperature
+    rows["imu_degc"], rows["current_a"] = temperature, current_a
     rows["air_degc"] = warmth.ambient(truth) + 6.0
     rows["mag_ut"] = environment.magnetic_field_ut(truth) + rng.normal(0.0, 0.3, (count, 3))
     rows["pressure_pa"] = environment.pressure_pa(altitude) + rng.normal(0.0, 3.0, count)
