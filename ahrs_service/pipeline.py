@@ -31,7 +31,8 @@ from ahrs_service.fusion import (
 from ahrs_service.fusion.states import ERROR_STATES, GYRO_BIAS
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Airframe, Flag, Floats, Phase, Record, Rows
-from ahrs_service.sensor.compensation import compensate
+from ahrs_service.sensor.compensation import compensate_sample
+from ahrs_service.sensor.thermometer import THERMOMETER_FIELDS, forget_temperature
 from ahrs_service.settings import Settings
 
 _ALIGNING = int(Phase.ALIGNING)
@@ -95,6 +96,7 @@ PARAMETERS_DTYPE: Final = np.dtype(
 STATE_DTYPE: Final = np.dtype(
     [
         *timebase.TIME_FIELDS,
+        *THERMOMETER_FIELDS,
         *alignment.ALIGNMENT_FIELDS,
         *gravity.GRAVITY_FIELDS,
         *heading.HEADING_FIELDS,
@@ -133,6 +135,7 @@ def new_state() -> Rows:
     state = np.zeros(1, STATE_DTYPE)
     state["ned_from_body"][0, 0] = 1.0
     state["dcm"][0] = np.eye(3)
+    forget_temperature(state[0])
     return state
 
 
@@ -309,14 +312,7 @@ def take(
 ) -> None:
     """Take one sample; where there are `nodes` [2], the last and the next, note the turn there."""
     gyro, accel = state["gyro_rad_s"], state["accel_m_s2"]
-    flags = sample["flags"] | compensate(
-        coefficients,
-        sample["gyro_rad_s"],
-        sample["accel_m_s2"],
-        sample["temperature_degc"],
-        gyro,
-        accel,
-    )
+    flags = compensate_sample(coefficients, state, sample)
     found = _check_sensors(settings, state, sample, gyro, accel)
     flags |= found
     if not found & (_NOT_FINITE | _SPIKE):

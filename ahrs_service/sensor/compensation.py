@@ -3,74 +3,125 @@
 import math
 from typing import Final
 
+import numpy as np
+
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Flag, Floats, Record, Rows
+from ahrs_service.sensor.thermometer import acting_columns, forget_temperature, read_thermometer
 
 _OUT_OF_RANGE: Final = int(Flag.TEMPERATURE_OUT_OF_RANGE)
+_IMU_CHANGED: Final = int(Flag.IMU_CHANGED)
+A: Final = 0
+B: Final = 3
+C: Final = 6
+_MATRIX: Final = 9
+"""Columns of the drift table (sensor.parameters.COLUMNS)."""
 
 
 @kernel
-def node_position(triad: Record, temperature_degc: float) -> float:
-    """Where the temperature lies among the nodes: 2.25 is a quarter of the way from 2 to 3.
+def find_segment(triad: Record, temperature_degc: float) -> tuple[int, float]:
+    """Return the segment of a temperature and how far it lies above the segment's border [degC].
 
-    Clamped to the first and last node; NaN where there are no nodes or no temperature.
+    Clamped to the first and last border; -1 where nothing drifts or no temperature is known.
     """
-    if triad["nodes"] == 0 or math.isnan(temperature_degc):
-        return math.nan
-    nodes = triad["temperature_degc"]
-    low, high = 0, triad["nodes"] - 1
+    last = triad["segments"]
+    if last == 0 or math.isnan(temperature_degc):
+        return -1, 0.0
+    breaks = triad["breaks_degc"]
+    inside = min(max(temperature_degc, breaks[0]), breaks[last])
+    low, high = 0, last
     while high - low > 1:
         middle = (low + high) // 2
-        if nodes[middle] <= temperature_degc:
+        if breaks[middle] <= inside:
             low = middle
         else:
             high = middle
-    share = (temperature_degc - nodes[low]) / (nodes[low + 1] - nodes[low])
-    return low + min(max(share, 0.0), 1.0)
+    return low, inside - breaks[low]
 
 
 @kernel
-def drift_coefficient(triad: Record, power: int, position: float, axis: int) -> float:
-    """Coefficient of N^`power` in the drift of one axis, linear between the nodes."""
+def drift(triad: Record, segment: int, rest_degc: float, column: int) -> float:
+    """Value of one column of the drift table."""
     table = triad["drift"]
-    low = min(int(position), triad["nodes"] - 2)
-    left = table[power, low, axis]
-    return left + (position - low) * (table[power, low + 1, axis] - left)
-
-
-@kernel
-def thermal_drift(triad: Record, position: float, axis: int, raw: float) -> float:
-    """E_T = a N^2 + b N + c of one axis for the output `raw` (Liu et al., eq. (3))."""
-    a = drift_coefficient(triad, 2, position, axis)
-    b = drift_coefficient(triad, 1, position, axis)
-    c = drift_coefficient(triad, 0, position, axis)
-    return (a * raw + b) * raw + c
+    value = table[segment, column, 3] * rest_degc + table[segment, column, 2]
+    value = value * rest_degc + table[segment, column, 1]
+    return value * rest_degc + table[segment, column, 0]
 
 
 @kernel
 def is_outside(triad: Record, temperature_degc: float) -> bool:
-    """Whether the temperature lies beyond the first or last node."""
-    nodes = triad["temperature_degc"]
-    last = triad["nodes"] - 1
-    return last > 0 and (temperature_degc < nodes[0] or temperature_degc > nodes[last])
+    """Whether the temperature lies beyond the first or last border."""
+    breaks, last = triad["breaks_degc"], triad["segments"]
+    return last > 0 and (temperature_degc < breaks[0] or temperature_degc > breaks[last])
+
+
+@kernel
+def without_drift(triad: Record, segment: int, rest_degc: float, axis: int, raw: float) -> float:
+    """N - E_T - B of one axis, E_T = a N^2 + b N + c (Liu et al., eq. (3))."""
+    level = raw - triad["bias"][axis]
+    if segment < 0:
+        return level
+    a = drift(triad, segment, rest_degc, A + axis)
+    b = drift(triad, segment, rest_degc, B + axis)
+    c = drift(triad, segment, rest_degc, C + axis)
+    return level - ((a * raw + b) * raw + c)
+
+
+@kernel
+def matrix_element(triad: Record, segment: int, rest_degc: float, i: int, j: int) -> float:
+    """Element i, j of K + dK(T)."""
+    if segment < 0:
+        return triad["matrix"][i, j]
+    return triad["matrix"][i, j] + drift(triad, segment, rest_degc, _MATRIX + 3 * i + j)
+
+
+@kernel
+def solve(
+    triad: Record, segment: int, rest_degc: float, p: float, q: float, r: float
+) -> tuple[float, float, float]:
+    """Solve (K + dK) A = (p, q, r) for A: by cofactors where K drifts, else by its inverse."""
+    if triad["matrix_drifts"] == 0 or segment < 0:
+        inverse = triad["inverse"]
+        return (
+            inverse[0, 0] * p + inverse[0, 1] * q + inverse[0, 2] * r,
+            inverse[1, 0] * p + inverse[1, 1] * q + inverse[1, 2] * r,
+            inverse[2, 0] * p + inverse[2, 1] * q + inverse[2, 2] * r,
+        )
+    a = matrix_element(triad, segment, rest_degc, 0, 0)
+    b = matrix_element(triad, segment, rest_degc, 0, 1)
+    c = matrix_element(triad, segment, rest_degc, 0, 2)
+    d = matrix_element(triad, segment, rest_degc, 1, 0)
+    e = matrix_element(triad, segment, rest_degc, 1, 1)
+    f = matrix_element(triad, segment, rest_degc, 1, 2)
+    g = matrix_element(triad, segment, rest_degc, 2, 0)
+    h = matrix_element(triad, segment, rest_degc, 2, 1)
+    k = matrix_element(triad, segment, rest_degc, 2, 2)
+    ek, dk, dh = e * k - f * h, d * k - f * g, d * h - e * g
+    scale = 1.0 / (a * ek - b * dk + c * dh)
+    return (
+        scale * (ek * p - (b * k - c * h) * q + (b * f - c * e) * r),
+        scale * (-dk * p + (a * k - c * g) * q - (a * f - c * d) * r),
+        scale * (dh * p - (a * h - b * g) * q + (a * e - b * d) * r),
+    )
+
+
+@kernel
+def g_effect(triad: Record, axis: int, x: float, y: float, z: float) -> float:
+    """G f of one axis for the specific force (x, y, z)."""
+    g = triad["g_sensitivity"]
+    return g[axis, 0] * x + g[axis, 1] * y + g[axis, 2] * z
 
 
 @kernel
 def invert(
-    triad: Record, x: float, y: float, z: float, position: float
+    triad: Record, raw: Floats, fx: float, fy: float, fz: float, temperature_degc: float
 ) -> tuple[float, float, float]:
-    """A = K^-1 (N - E_T(N) - B) of one triad (Liu et al., eq. (2)); `position` NaN for no E_T."""
-    bias, inverse = triad["bias"], triad["inverse"]
-    p, q, r = x - bias[0], y - bias[1], z - bias[2]
-    if not math.isnan(position):
-        p -= thermal_drift(triad, position, 0, x)
-        q -= thermal_drift(triad, position, 1, y)
-        r -= thermal_drift(triad, position, 2, z)
-    return (
-        inverse[0, 0] * p + inverse[0, 1] * q + inverse[0, 2] * r,
-        inverse[1, 0] * p + inverse[1, 1] * q + inverse[1, 2] * r,
-        inverse[2, 0] * p + inverse[2, 1] * q + inverse[2, 2] * r,
-    )
+    """A = (K + dK)^-1 (N - E_T(N) - B - G f) of one triad for N = `raw` [3], f = (fx, fy, fz)."""
+    segment, rest = find_segment(triad, temperature_degc)
+    p = without_drift(triad, segment, rest, 0, raw[0]) - g_effect(triad, 0, fx, fy, fz)
+    q = without_drift(triad, segment, rest, 1, raw[1]) - g_effect(triad, 1, fx, fy, fz)
+    r = without_drift(triad, segment, rest, 2, raw[2]) - g_effect(triad, 2, fx, fy, fz)
+    return solve(triad, segment, rest, p, q, r)
 
 
 @kernel
@@ -78,23 +129,76 @@ def compensate(
     coefficients: Rows,
     gyro_raw: Floats,
     accel_raw: Floats,
-    temperature_degc: float,
+    gyro_degc: float,
+    accel_degc: float,
     gyro: Floats,
     accel: Floats,
 ) -> int:
     """Compensate one sample and return Flag.TEMPERATURE_OUT_OF_RANGE or 0.
 
     `coefficients` [1] COEFFICIENTS_DTYPE; raw and compensated rate [3] [rad/s] and specific force
-    [3] [m/s^2]; the outputs may be the inputs. `temperature_degc` NaN leaves the thermal term out;
-    beyond the nodes the drift of the nearest one is used and the flag returned.
+    [3] [m/s^2]; the outputs may be the inputs. The temperatures are those that act on the gyros
+    and on the accelerometers (sensor.thermometer); NaN leaves all drift out, beyond the calibrated
+    span that at its end is used and the flag returned. Where no force is known its effect on the
+    gyros is left out.
     """
     row = coefficients[0]
-    triad, raw = row["gyro"], gyro_raw
-    position = node_position(triad, temperature_degc)
-    gyro[0], gyro[1], gyro[2] = invert(triad, raw[0], raw[1], raw[2], position)
-    is_out = is_outside(triad, temperature_degc)
-    triad, raw = row["accel"], accel_raw
-    position = node_position(triad, temperature_degc)
-    accel[0], accel[1], accel[2] = invert(triad, raw[0], raw[1], raw[2], position)
-    is_out = is_out or is_outside(triad, temperature_degc)
+    triad = row["accel"]
+    accel[0], accel[1], accel[2] = invert(triad, accel_raw, 0.0, 0.0, 0.0, accel_degc)
+    is_out = is_outside(triad, accel_degc)
+    triad = row["gyro"]
+    x, y, z = accel[0], accel[1], accel[2]
+    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+        x = y = z = 0.0
+    gyro[0], gyro[1], gyro[2] = invert(triad, gyro_raw, x, y, z, gyro_degc)
+    is_out = is_out or is_outside(triad, gyro_degc)
     return _OUT_OF_RANGE if is_out else 0
+
+
+@kernel
+def compensate_sample(coefficients: Rows, state: Record, sample: Record) -> int:
+    """Write `gyro_rad_s` and `accel_m_s2` of the state from a sample; return the sample's flags."""
+    if sample["flags"] & _IMU_CHANGED != 0:
+        forget_temperature(state)
+    gyro_degc, accel_degc = read_thermometer(
+        coefficients[0], state, sample["time_ns"], sample["temperature_degc"]
+    )
+    return sample["flags"] | compensate(
+        coefficients,
+        sample["gyro_rad_s"],
+        sample["accel_m_s2"],
+        gyro_degc,
+        accel_degc,
+        state["gyro_rad_s"],
+        state["accel_m_s2"],
+    )
+
+
+@kernel
+def _compensate_rows(
+    coefficients: Rows, gyro_raw: Floats, accel_raw: Floats, acting_degc: Floats, out: Floats
+) -> None:
+    for i in range(len(gyro_raw)):
+        gyro_degc, accel_degc = acting_degc[i, 0], acting_degc[i, 1]
+        compensate(
+            coefficients, gyro_raw[i], accel_raw[i], gyro_degc, accel_degc, out[0, i], out[1, i]
+        )
+
+
+def compensate_columns(
+    coefficients: Rows,
+    gyro_raw: Floats,
+    accel_raw: Floats,
+    temperature_degc: Floats,
+    time_s: Floats | None = None,
+) -> tuple[Floats, Floats]:
+    """Return rate and specific force [N, 3] of outputs [N, 3]: the inverse of forward_columns."""
+    out = np.empty((2, *gyro_raw.shape))
+    _compensate_rows(
+        coefficients,
+        np.ascontiguousarray(gyro_raw, np.float64),
+        np.ascontiguousarray(accel_raw, np.float64),
+        acting_columns(coefficients, temperature_degc, time_s),
+        out,
+    )
+    return out[0], out[1]

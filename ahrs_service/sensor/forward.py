@@ -6,21 +6,30 @@ import numpy as np
 
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats, Record, Rows
-from ahrs_service.sensor.compensation import drift_coefficient, node_position
+from ahrs_service.sensor.compensation import (
+    A,
+    B,
+    C,
+    drift,
+    find_segment,
+    g_effect,
+    matrix_element,
+)
+from ahrs_service.sensor.thermometer import acting_columns
 
 
 @kernel
-def output_of_axis(triad: Record, position: float, axis: int, level: float) -> float:
-    """Output N of one axis where K A + B = `level`; `position` NaN for no thermal term.
+def output_of_axis(triad: Record, segment: int, rest_degc: float, axis: int, level: float) -> float:
+    """Output N of one axis where (K + dK) A + B + G f = `level`.
 
     Solves a N^2 - (1 - b) N + (c + level) = 0 for the root that is `level` where the drift is
     nil, in the form that does not cancel; NaN where the parabola never reaches the level.
     """
-    if math.isnan(position):
+    if segment < 0:
         return level
-    a = drift_coefficient(triad, 2, position, axis)
-    slope = 1.0 - drift_coefficient(triad, 1, position, axis)
-    shifted = level + drift_coefficient(triad, 0, position, axis)
+    a = drift(triad, segment, rest_degc, A + axis)
+    slope = 1.0 - drift(triad, segment, rest_degc, B + axis)
+    shifted = level + drift(triad, segment, rest_degc, C + axis)
     discriminant = slope * slope - 4.0 * a * shifted
     if discriminant < 0.0:
         return math.nan
@@ -28,20 +37,28 @@ def output_of_axis(triad: Record, position: float, axis: int, level: float) -> f
 
 
 @kernel
-def respond(
-    triad: Record, x: float, y: float, z: float, temperature_degc: float
-) -> tuple[float, float, float]:
-    """Output of one triad for the input (x, y, z) (Liu et al., eq. (2) solved for N)."""
-    matrix, bias = triad["matrix"], triad["bias"]
-    position = node_position(triad, temperature_degc)
-    p = matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z + bias[0]
-    q = matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z + bias[1]
-    r = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z + bias[2]
+def _level(
+    triad: Record, segment: int, rest_degc: float, axis: int, x: float, y: float, z: float
+) -> float:
+    """(K + dK) A + B of one axis for A = (x, y, z)."""
     return (
-        output_of_axis(triad, position, 0, p),
-        output_of_axis(triad, position, 1, q),
-        output_of_axis(triad, position, 2, r),
+        matrix_element(triad, segment, rest_degc, axis, 0) * x
+        + matrix_element(triad, segment, rest_degc, axis, 1) * y
+        + matrix_element(triad, segment, rest_degc, axis, 2) * z
+        + triad["bias"][axis]
     )
+
+
+@kernel
+def respond(
+    triad: Record, a: Floats, fx: float, fy: float, fz: float, temperature_degc: float, out: Floats
+) -> None:
+    """Write the output [3] of one triad for the input `a` [3] under the force (fx, fy, fz)."""
+    x, y, z = a[0], a[1], a[2]
+    segment, rest = find_segment(triad, temperature_degc)
+    for axis in range(3):
+        level = _level(triad, segment, rest, axis, x, y, z) + g_effect(triad, axis, fx, fy, fz)
+        out[axis] = output_of_axis(triad, segment, rest, axis, level)
 
 
 @kernel
@@ -49,20 +66,20 @@ def forward(
     coefficients: Rows,
     rate: Floats,
     force: Floats,
-    temperature_degc: float,
+    gyro_degc: float,
+    accel_degc: float,
     gyro_raw: Floats,
     accel_raw: Floats,
 ) -> None:
     """Write what the sensor gives for one instant; sensor.compensation is the exact inverse.
 
     `coefficients` [1] COEFFICIENTS_DTYPE; true rate [3] [rad/s], specific force [3] [m/s^2], and
-    the outputs in the same units; `temperature_degc` NaN leaves the thermal term out.
+    the outputs in the same units; the temperatures are those that act on gyros and accelerometers
+    (sensor.thermometer), NaN leaves all drift out.
     """
-    row, t = coefficients[0], temperature_degc
-    gyro_raw[0], gyro_raw[1], gyro_raw[2] = respond(row["gyro"], rate[0], rate[1], rate[2], t)
-    accel_raw[0], accel_raw[1], accel_raw[2] = respond(
-        row["accel"], force[0], force[1], force[2], t
-    )
+    row, x, y, z = coefficients[0], force[0], force[1], force[2]
+    respond(row["gyro"], rate, x, y, z, gyro_degc, gyro_raw)
+    respond(row["accel"], force, 0.0, 0.0, 0.0, accel_degc, accel_raw)
 
 
 @kernel
@@ -70,27 +87,33 @@ def _forward_rows(
     coefficients: Rows,
     rate: Floats,
     force: Floats,
-    temperature_degc: Floats,
+    acting_degc: Floats,
     gyro_raw: Floats,
     accel_raw: Floats,
 ) -> None:
-    for i in range(temperature_degc.shape[0]):
-        forward(coefficients, rate[i], force[i], temperature_degc[i], gyro_raw[i], accel_raw[i])
+    for i in range(len(rate)):
+        gyro_degc, accel_degc = acting_degc[i, 0], acting_degc[i, 1]
+        forward(coefficients, rate[i], force[i], gyro_degc, accel_degc, gyro_raw[i], accel_raw[i])
 
 
 def forward_columns(
-    coefficients: Rows, rate: Floats, force: Floats, temperature_degc: Floats
+    coefficients: Rows,
+    rate: Floats,
+    force: Floats,
+    temperature_degc: Floats,
+    time_s: Floats | None = None,
 ) -> tuple[Floats, Floats]:
     """Return the outputs [N, 3] of gyros and accelerometers for columns of inputs.
 
-    Rate [N, 3] [rad/s], specific force [N, 3] [m/s^2], temperature [N] [degC].
+    Rate [N, 3] [rad/s], specific force [N, 3] [m/s^2]; temperature [N] [degC] as the thermometer
+    shows it at `time_s` [N] [s]; without times it is the temperature that acts on both.
     """
     gyro_raw, accel_raw = np.empty(rate.shape), np.empty(force.shape)
     _forward_rows(
         coefficients,
         np.ascontiguousarray(rate, np.float64),
         np.ascontiguousarray(force, np.float64),
-        np.ascontiguousarray(temperature_degc, np.float64),
+        acting_columns(coefficients, temperature_degc, time_s),
         gyro_raw,
         accel_raw,
     )

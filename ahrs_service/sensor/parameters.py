@@ -1,27 +1,27 @@
-"""What one sensor's calibration says: matrix, bias and thermal drift of both triads.
+"""What one sensor's calibration says of both triads, and the form in which the kernels read it.
 
-The model is eq. (2) and (3) of Liu et al. for each triad:
+The model of each triad contains eq. (1) of Liu et al. and eq. (2) and (3):
 
-    N - E_T = K A + B        E_T = a_T N^2 + b_T N + c_T  per axis
+    N - E_T = (K + dK(T)) A + B + G f        E_T = a(T) N^2 + b(T) N + c(T)  per axis
 
 N is the sensor's output, A the input along the body axes (both [rad/s] or both [m/s^2]); K holds
 scale factors on its diagonal and cross-axis terms off it, B is the bias, both at room
-temperature. E_T is all that temperature changes, zero at room temperature. Its coefficients are
-given at nodes of temperature and are linear between them, so that the drift is continuous.
+temperature; f is the specific force [m/s^2], which acts on gyros by G. All that temperature changes
+is zero at room temperature and given by curves (sensor.curve). The conventional model has dK and
+c, the improved one a, b and c, a smooth one c and dK; to the kernels they are the same.
 
-As TOML, for app.config_file (the thermal lists may be left out):
+T is the temperature that acts: a sensing element warms later than the thermometer shows
+(`thermal_lag_s` > 0) or, where the thermometer stands apart, before it (< 0): sensor.thermometer.
+
+As TOML, for app.calibration_file (what is left out is nil):
 
     serial = "A0042"
-    source = "six positions and chamber run, 2024-05-01"
-
     [gyro]
     matrix = [[1.002, 0.0, 0.001], [0.0, 0.998, 0.0], [0.0, 0.0, 1.001]]
     bias = [0.003, -0.001, 0.002]                  # rad/s
-    temperature_degc = [-40.0, 25.0, 70.0]
-    a = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
-    b = [[0.002, 0.001, 0.002], [0.0, 0.0, 0.0], [-0.002, -0.001, -0.002]]
-    c = [[0.010, -0.004, 0.002], [0.0, 0.0, 0.0], [-0.007, 0.003, -0.001]]
-
+    [gyro.c]
+    breaks_degc = [-40.0, 25.0, 70.0]
+    pieces = [[[0.013, -2e-4], [0.0], [0.0]], [[0.0, -1e-4], [0.0], [0.0]]]
     [accel]
     bias = [0.05, -0.02, 0.10]                     # m/s^2
 """
@@ -31,88 +31,155 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from ahrs_service.records import Rows
+from ahrs_service.records import Floats, Rows
+from ahrs_service.sensor.curve import POWERS, Curve
+from ahrs_service.sensor.provenance import Provenance, Uncertainty, Verdict
 
 Vector = tuple[float, float, float]
+Matrix = tuple[Vector, Vector, Vector]
 
-NODES: Final = 32
-"""Largest number of temperature nodes of a triad: 5 degC steps over -40..70 degC are 23."""
+SEGMENTS: Final = 64
+"""Largest number of temperature segments of a triad: -40..70 degC in 5 degC are 22."""
+COLUMNS: Final = {"a": slice(0, 3), "b": slice(3, 6), "c": slice(6, 9), "matrix": slice(9, 18)}
+"""Where each curve stands in the kernels' table; dK row by row."""
 
+IDENTITY: Final[Matrix] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+NIL: Final[Matrix] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+_CURVES: Final = {"a": 3, "b": 3, "c": 3, "matrix_drift": 9}
 _LARGEST_CONDITION: Final = 1e4
+_LARGEST_LAG_S: Final = 3600.0
 _STRICT = {"extra": "forbid"}
 
 _TRIAD: Final = [
     ("matrix", "f8", (3, 3)),
     ("inverse", "f8", (3, 3)),
     ("bias", "f8", 3),
-    ("temperature_degc", "f8", NODES),
-    ("drift", "f8", (3, NODES, 3)),
-    ("nodes", "i8"),
+    ("g_sensitivity", "f8", (3, 3)),
+    ("breaks_degc", "f8", SEGMENTS + 1),
+    ("drift", "f8", (SEGMENTS, 18, POWERS)),
+    ("segments", "i8"),
+    ("matrix_drifts", "i8"),
+    ("thermal_lag_s", "f8"),
 ]
 COEFFICIENTS_DTYPE: Final[np.dtype[Any]] = np.dtype([("gyro", _TRIAD), ("accel", _TRIAD)])
-"""What the kernels of compensation and forward read: per triad K, K^-1, B, the nodes
-and `drift` [power of N, node, axis]."""
+"""What the kernels of compensation and forward read: per triad K, K^-1, B, G, the borders of the
+segments, `drift` [segment, column, power of T - border], and whether dK is there at all."""
 
 
 @dataclass(frozen=True, slots=True)
 class TriadCalibration:
-    """Calibration of three gyros or three accelerometers (Liu et al., eq. (2) and (3)).
+    """Calibration of three gyros or three accelerometers; the equation stands above.
 
-    `matrix` [3, 3] K [1], `bias` [3] B [rad/s or m/s^2]; `temperature_degc` [n] nodes [degC],
-    rising, none or 2..32; `a` [n, 3] [1/unit], `b` [n, 3] [1], `c` [n, 3] [unit] of the drift.
+    `matrix` [3, 3] K [1], `bias` [3] B [unit], the unit rad/s or m/s^2; curves of 3 columns `a`
+    [1/unit], `b` [1], `c` [unit], and of 9 `matrix_drift` dK [1], row by row, all of one span;
+    `g_sensitivity` [3, 3] G [rad/s per m/s^2], of gyros only; `thermal_lag_s` [s] as above;
+    `model` names the thermal model for people: "conventional", "improved", "smooth".
     """
 
     __pydantic_config__: ClassVar = _STRICT
-    matrix: tuple[Vector, Vector, Vector] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    matrix: Matrix = IDENTITY
     bias: Vector = (0.0, 0.0, 0.0)
-    temperature_degc: tuple[float, ...] = ()
-    a: tuple[Vector, ...] = ()
-    b: tuple[Vector, ...] = ()
-    c: tuple[Vector, ...] = ()
+    a: Curve = field(default_factory=Curve)
+    b: Curve = field(default_factory=Curve)
+    c: Curve = field(default_factory=Curve)
+    matrix_drift: Curve = field(default_factory=Curve)
+    g_sensitivity: Matrix = NIL
+    thermal_lag_s: float = 0.0
+    model: str = ""
+    uncertainty: Uncertainty = field(default_factory=Uncertainty)
 
     def __post_init__(self) -> None:
         """Raise ValueError that names the field, its value and what to do."""
         _array("matrix", self.matrix, (3, 3))
         _array("bias", self.bias, (3,))
-        condition = float(np.linalg.cond(np.array(self.matrix)))
+        _array("g_sensitivity", self.g_sensitivity, (3, 3))
+        if not abs(self.thermal_lag_s) <= _LARGEST_LAG_S:
+            raise ValueError(
+                f"thermal_lag_s = {self.thermal_lag_s}: give seconds between -{_LARGEST_LAG_S:.0f} "
+                f"and {_LARGEST_LAG_S:.0f}, negative where the thermometer lags the sensor"
+            )
+        self._check_curves()
+        self._check_invertible()
+
+    def _check_curves(self) -> None:
+        for name, columns in _CURVES.items():
+            curve = getattr(self, name)
+            if curve.columns not in (0, columns):
+                raise ValueError(f"{name} has {curve.columns} columns: give it {columns}")
+            if curve.pieces and curve.span_degc != self.span_degc:
+                raise ValueError(
+                    f"{name} spans {curve.span_degc} degC where another curve spans "
+                    f"{self.span_degc}: give all curves of a triad the same first and last border"
+                )
+        segments = len(self.breaks_degc()) - 1
+        if segments > SEGMENTS:
+            raise ValueError(
+                f"the curves have {segments} segments together: "
+                f"give at most {SEGMENTS}, by giving them common borders"
+            )
+
+    def _check_invertible(self) -> None:
+        """Demand that input follows from output at every temperature."""
+        grid = _between(self.breaks_degc())
+        condition = float(np.linalg.cond(self.matrix_at(grid)).max())
         if not condition < _LARGEST_CONDITION:
             raise ValueError(
-                f"matrix = {self.matrix} cannot be inverted (condition {condition:.3g}): "
-                "put the scale factors, near 1, on its diagonal"
+                f"matrix = {self.matrix} with its drift cannot be inverted (condition "
+                f"{condition:.3g}): put the scale factors, near 1, on its diagonal"
             )
-        self._check_nodes()
-
-    def _check_nodes(self) -> None:
-        count = len(self.temperature_degc)
-        nodes = _array("temperature_degc", self.temperature_degc, (count,))
-        if count == 1 or count > NODES:
+        if self.b.pieces and self.b.at(grid).max() >= 1.0:
             raise ValueError(
-                f"temperature_degc has {count} nodes: give none or 2 to {NODES}, "
-                "the drift is linear between them"
-            )
-        if (np.diff(nodes) <= 0.0).any():
-            raise ValueError(
-                f"temperature_degc = {self.temperature_degc} does not rise: "
-                "sort the nodes, and a, b, c with them, and give each temperature once"
-            )
-        for name in ("a", "b", "c"):
-            _array(name, getattr(self, name), (count, 3) if count else (0,))
-        if count and max(max(row) for row in self.b) >= 1.0:
-            raise ValueError(
-                f"b = {self.b} has a value of 1 or more, so the output would not follow the "
+                f"b reaches {self.b.at(grid).max():.3g}, so the output would not follow the "
                 "input: b is a small relative drift of scale, 0.01 for 1 %"
             )
+
+    @property
+    def span_degc(self) -> tuple[float, float] | None:
+        """The calibrated temperatures [degC]; None where temperature changes nothing."""
+        spans = [curve.span_degc for curve in self._curves() if curve.pieces]
+        return spans[0] if spans else None
+
+    def breaks_degc(self) -> Floats:
+        """Return the borders of all curves together [n + 1] [degC], none without curves."""
+        return np.unique(np.concatenate([curve.breaks_degc for curve in self._curves()]))
+
+    def matrix_at(self, temperature_degc: Floats) -> Floats:
+        """Return K + dK [n, 3, 3] at temperatures [n] [degC]."""
+        count = len(temperature_degc)
+        constant = np.broadcast_to(np.array(self.matrix), (count, 3, 3))
+        if not self.matrix_drift.pieces:
+            return constant
+        return constant + self.matrix_drift.at(temperature_degc).reshape(count, 3, 3)
+
+    def _curves(self) -> tuple[Curve, ...]:
+        return (self.a, self.b, self.c, self.matrix_drift)
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Calibration of one sensor: its `serial` number and the `source` of the figures."""
+    """Calibration of one sensor: what its `serial` number is, and where the figures come from.
+
+    `uid` is how the autopilot that holds it names itself: AUTOPILOT_VERSION.uid2 or uid as
+    lower-case hex digits. `source` is free text. `room_degc` is where all drift is zero [degC].
+    """
 
     __pydantic_config__: ClassVar = _STRICT
     gyro: TriadCalibration = field(default_factory=TriadCalibration)
     accel: TriadCalibration = field(default_factory=TriadCalibration)
     serial: str = ""
+    uid: str = ""
     source: str = ""
+    room_degc: float = 25.0
+    provenance: Provenance = field(default_factory=Provenance)
+    verdict: Verdict = field(default_factory=Verdict)
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a g-sensitivity of the accelerometer."""
+        if self.accel.g_sensitivity != NIL:
+            raise ValueError(
+                "accel.g_sensitivity: only gyros have one; the accelerometer's matrix is its own"
+            )
 
     @classmethod
     def ideal(cls) -> "Calibration":
@@ -124,19 +191,37 @@ def coefficients(calibration: Calibration) -> Rows:
     """Return the kernels' coefficients [1] COEFFICIENTS_DTYPE of `calibration`."""
     rows = np.zeros(1, COEFFICIENTS_DTYPE)
     for name in ("gyro", "accel"):
-        triad, row = getattr(calibration, name), rows[name]
-        count = len(triad.temperature_degc)
+        triad, row = getattr(calibration, name), rows[name][0]
         row["matrix"] = triad.matrix
         row["inverse"] = np.linalg.inv(np.array(triad.matrix))
         row["bias"] = triad.bias
-        row["nodes"] = count
-        row["temperature_degc"][0, :count] = triad.temperature_degc
-        for power, part in enumerate((triad.c, triad.b, triad.a) if count else ()):
-            row["drift"][0, power, :count] = part
+        row["g_sensitivity"] = triad.g_sensitivity
+        row["thermal_lag_s"] = triad.thermal_lag_s
+        row["matrix_drifts"] = bool(triad.matrix_drift.pieces)
+        breaks = triad.breaks_degc()
+        row["segments"] = max(len(breaks) - 1, 0)
+        row["breaks_degc"][: len(breaks)] = breaks
+        for curve, place in ((triad.a, "a"), (triad.b, "b"), (triad.c, "c")):
+            _lay(row, breaks, curve, place)
+        _lay(row, breaks, triad.matrix_drift, "matrix")
     return rows
 
 
-def _array(name: str, value: object, shape: tuple[int, ...]) -> Rows:
+def _lay(row: Rows, breaks: Floats, curve: Curve, place: str) -> None:
+    if curve.pieces:
+        row["drift"][: len(breaks) - 1, COLUMNS[place]] = curve.on(breaks).table()
+
+
+def _between(breaks: Floats) -> Floats:
+    """Return four temperatures in each segment and the last border; one where there is none."""
+    if not len(breaks):
+        return np.zeros(1)
+    steps = np.arange(0.0, 1.0, 0.25)
+    inside = breaks[:-1, None] + np.diff(breaks)[:, None] * steps
+    return np.append(inside.ravel(), breaks[-1])
+
+
+def _array(name: str, value: object, shape: tuple[int, ...]) -> Floats:
     """Return `value` as finite floats of `shape`, or raise ValueError naming it."""
     try:
         array = np.array(value, np.float64)

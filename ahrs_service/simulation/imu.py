@@ -12,6 +12,7 @@ import numpy as np
 
 from ahrs_service.effects.base import Effect, Values, apply
 from ahrs_service.records import Floats, Rows
+from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.forward import forward_columns
 from ahrs_service.sensor.noise import TriadNoise, sensor_noise
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration, Vector, coefficients
@@ -59,7 +60,8 @@ class Imu:
         if self.propeller is not None:
             rate_shake, force_shake = self.propeller.shake(truth["throttle"], rate_hz, rng)
             rate, force = rate + rate_shake, force + force_shake
-        gyro, accel = forward_columns(coefficients(self.calibration), rate, force, temperature_degc)
+        known, time_s = coefficients(self.calibration), truth["time_s"]
+        gyro, accel = forward_columns(known, rate, force, temperature_degc, time_s)
         gyro += sensor_noise(rng, len(truth), rate_hz, self.gyro_noise)
         accel += sensor_noise(rng, len(truth), rate_hz, self.accel_noise)
         return gyro, accel
@@ -82,7 +84,7 @@ def _sibling_triad(triad: TriadCalibration, rng: np.random.Generator) -> TriadCa
     first, second, third = _rows(np.eye(3) + (triad.matrix - np.eye(3)) * rng.normal(size=(3, 3)))
     (bias,) = _rows(np.array([triad.bias]) * rng.normal(size=3))
     drift = rng.normal(size=3)
-    a, b, c = (_rows(np.reshape(x, (-1, 3)) * drift) for x in (triad.a, triad.b, triad.c))
+    a, b, c = (curve.times(drift) for curve in (triad.a, triad.b, triad.c))
     return replace(triad, matrix=(first, second, third), bias=bias, a=a, b=b, c=c)
 
 
@@ -99,23 +101,18 @@ def consumer_grade() -> Imu:
     nodes = (-10.0, 10.0, 25.0, 40.0, 70.0)
     gyro_c = (0.006, 0.002, 0.0, -0.004, -0.012), (-0.004, -0.002, 0.0, 0.003, 0.008)
     accel_c = (-0.20, -0.08, 0.0, 0.09, 0.30), (0.15, 0.06, 0.0, -0.05, -0.18)
-    flat = ((0.0, 0.0, 0.0),) * len(nodes)
     slopes = tuple((s, -s, 0.5 * s) for s in (-0.004, -0.002, 0.0, 0.002, 0.006))
     gyro = TriadCalibration(
         matrix=((1.003, 0.002, 0.0), (-0.001, 0.998, 0.001), (0.0, -0.002, 1.002)),
         bias=(0.003, -0.004, 0.002),
-        temperature_degc=nodes,
-        a=flat,
-        b=slopes,
-        c=tuple((x, y, 0.5 * x) for x, y in zip(*gyro_c, strict=True)),
+        b=Curve.linear(nodes, slopes),
+        c=Curve.linear(nodes, [(x, y, 0.5 * x) for x, y in zip(*gyro_c, strict=True)]),
     )
     accel = TriadCalibration(
         matrix=((1.002, 0.001, 0.0), (0.001, 0.997, -0.001), (0.0, 0.001, 1.001)),
         bias=(0.04, -0.03, 0.05),
-        temperature_degc=nodes,
-        a=flat,
-        b=slopes,
-        c=tuple((x, y, -x) for x, y in zip(*accel_c, strict=True)),
+        b=Curve.linear(nodes, slopes),
+        c=Curve.linear(nodes, [(x, y, -x) for x, y in zip(*accel_c, strict=True)]),
     )
     return Imu(
         calibration=Calibration(gyro=gyro, accel=accel, serial="SIM-1", source="simulation"),
@@ -134,25 +131,18 @@ def seed_grade() -> Imu:
     turn-on bias, a wander of 0.015 deg/s, 0.1 % of scale and axes, 0.05 deg/s of drift over 15 K.
     """
     nodes = (-40.0, 18.0, 33.0, 70.0)
-    flat = ((0.0, 0.0, 0.0),) * len(nodes)
     degree = math.radians(1.0)
     rise = (-0.1 * degree, 0.0, 0.05 * degree, 0.1 * degree)
     lift = (0.02, 0.0, 0.012, 0.02)
     gyro = TriadCalibration(
         matrix=((1.001, 0.0008, -0.0005), (-0.0005, 0.999, 0.001), (0.001, -0.0008, 1.001)),
         bias=(0.05 * degree, -0.04 * degree, 0.05 * degree),
-        temperature_degc=nodes,
-        a=flat,
-        b=flat,
-        c=tuple((x, -x, x) for x in rise),
+        c=Curve.linear(nodes, [(x, -x, x) for x in rise]),
     )
     accel = TriadCalibration(
         matrix=((1.001, 0.0005, -0.001), (0.001, 0.9995, 0.0005), (-0.0005, 0.001, 0.999)),
         bias=(0.018, -0.024, 0.018),
-        temperature_degc=nodes,
-        a=flat,
-        b=flat,
-        c=tuple((x, -x, -x) for x in lift),
+        c=Curve.linear(nodes, [(x, -x, -x) for x in lift]),
     )
     return Imu(
         calibration=Calibration(gyro=gyro, accel=accel, serial="SEED", source="Liu et al."),

@@ -3,7 +3,8 @@ import pytest
 
 from ahrs_service.records import Airframe
 from ahrs_service.rotation import euler_columns, inverse_columns, multiply_columns
-from ahrs_service.sensor.compensation import compensate
+from ahrs_service.sensor.compensation import compensate_columns
+from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.forward import forward_columns
 from ahrs_service.sensor.parameters import coefficients
 from ahrs_service.simulation.environment import HOME_ALTITUDE_M, Propeller, Warmth, pressure_pa
@@ -60,6 +61,12 @@ def test_the_seeds_accelerometers_err_by_at_most_5_mg():
     assert 3.0 < worst_mg < 5.0
 
 
+def figures(triad, field):
+    """A field of a calibration as numbers, a curve at its borders."""
+    value = getattr(triad, field)
+    return value.at(triad.breaks_degc()) if isinstance(value, Curve) else np.array(value)
+
+
 def test_siblings_of_a_sensor_have_its_errors_as_their_sigma():
     nominal = consumer_grade()
     dice = np.random.default_rng(1)
@@ -68,8 +75,8 @@ def test_siblings_of_a_sensor_have_its_errors_as_their_sigma():
         own = getattr(nominal.calibration, name)
         drawn = [getattr(one, name) for one in siblings]
         for field, base in (("matrix", np.eye(3)), ("bias", 0.0), ("b", 0.0), ("c", 0.0)):
-            errors = np.array([getattr(one, field) for one in drawn]) - base
-            size = np.abs(np.array(getattr(own, field)) - base)
+            errors = np.array([figures(one, field) for one in drawn]) - base
+            size = np.abs(figures(own, field) - base)
             np.testing.assert_allclose(errors.std(axis=0), size, rtol=0.15)
             np.testing.assert_allclose(errors.mean(axis=0), 0.0, atol=0.25 * size.max())
     assert Imu().sibling(dice) == Imu()
@@ -116,11 +123,9 @@ def test_a_short_flight_is_cut_not_squeezed():
 def test_compensation_with_the_true_calibration_leaves_noise_alone(flight):
     """In the mean over the flight, where noise and vibration average out."""
     rows = coefficients(flight.calibration)
-    gyro, accel = np.empty((len(flight.rows), 3)), np.empty((len(flight.rows), 3))
-    for k, row in enumerate(flight.rows):
-        compensate(
-            rows, row["gyro_rad_s"], row["accel_m_s2"], float(row["imu_degc"]), gyro[k], accel[k]
-        )
+    gyro, accel = compensate_columns(
+        rows, flight.rows["gyro_rad_s"], flight.rows["accel_m_s2"], flight.rows["imu_degc"]
+    )
     truth = flight.rows["rate_rad_s"], flight.rows["force_m_s2"]
     raw = flight.rows["gyro_rad_s"], flight.rows["accel_m_s2"]
     for name, compensated, true, given, limit in zip(
