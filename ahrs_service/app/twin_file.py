@@ -139,9 +139,7 @@ def _without_defaults(part: Any) -> dict[str, Any]:
             default = field.default_factory()
         if value == default:
             continue
-        table[field.name] = (
-            _without_defaults(value) if dataclasses.is_dataclass(value) else value
-        )
+        table[field.name] = _without_defaults(value) if dataclasses.is_dataclass(value) else value
     return table
 
 
