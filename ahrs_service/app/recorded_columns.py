@@ -70,7 +70,9 @@ def load(path: Path, progress: Progress | None = None) -> Loaded:
         shift_s = clock.shift_s
         covariates, rate = tlog_covariates(tlog, clock, reference.name)
         position = receiver_position(tlog, clock)
-        velocity = true_velocity(tlog, clock) if reference.is_truth else velocity
+        if reference.name == "SIM_STATE":
+            true_s = np.asarray(reference.time_ns * 1e-9 - shift_s, np.float64)
+            velocity = true_velocity(tlog, clock.vehicle, true_s)
     elif recording.format == "DataFlash":
         covariates = dataflash_covariates(read_tables(path))
     imu_s: Floats = imu["time_ns"] * 1e-9 - shift_s

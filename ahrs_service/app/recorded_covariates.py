@@ -86,12 +86,12 @@ def tlog_covariates(
     return found, rate
 
 
-def true_velocity(tlog: TlogFile, clock: TlogClock) -> Series:
-    """Return the velocity [m/s] of a simulator's truth, at the times of its attitude."""
-    table = tlog.tables.get((*clock.vehicle, "SIM_STATE"))
-    if table is None:
+def true_velocity(tlog: TlogFile, vehicle: tuple[int, int], attitude_s: Floats) -> Series:
+    """Return the velocity [m/s] of a simulator's truth, which shares the attitude's messages."""
+    table = tlog.tables.get((*vehicle, "SIM_STATE"))
+    if table is None or len(table) != len(attitude_s):
         return Series()
-    return rising(Series(clock.before(table), _stack(table, ("vn", "ve", "vd"))))
+    return rising(Series(attitude_s, _stack(table, ("vn", "ve", "vd"))))
 
 
 def receiver_position(tlog: TlogFile, clock: TlogClock) -> Series:

@@ -77,10 +77,12 @@ def _effect(table: dict[str, Any], origin: str) -> tuple[Effect, Values]:
         raise ConfigError(f"{origin}: {error}") from None
     for parameter in effect.parameters:
         value, (low, high) = values[parameter.name], parameter.bounds
-        if parameter.name in table and not np.all((value >= low) & (value <= high)):
+        good = np.isfinite(value) & (value >= low) & (value <= high)
+        if not (good | np.isclose(value, parameter.neutral, rtol=0.0, equal_nan=True)).all():
+            told = f"{low:g} to {high:g} " if np.isfinite(low) else "finite numbers in "
             raise ConfigError(
-                f"{origin}.{parameter.name} = {table[parameter.name]}: "
-                f"give {low:g} to {high:g} {parameter.unit}"
+                f"{origin}: {identifier}.{parameter.name} = {value.tolist()}: "
+                f"give {told}{parameter.unit}"
             )
     _check_units(effect, table, origin)
     return effect, values
