@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.app.recorded_columns import Loaded, load
+from ahrs_service.app.loaded_recording import Loaded, load
 from ahrs_service.diagnosis.recorded import Series
 from ahrs_service.instants import gap_limit
 from ahrs_service.records import Floats

@@ -7,7 +7,7 @@ import pytest
 
 from ahrs_service.app import twin_file
 from ahrs_service.app.cli import main
-from ahrs_service.app.recorded_columns import load
+from ahrs_service.app.loaded_recording import load
 from ahrs_service.app.retrace_recording import flight_along
 from ahrs_service.effects.catalogue import EFFECTS, effect_of
 from ahrs_service.simulation.acting import columns_of

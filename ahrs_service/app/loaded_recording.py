@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from ahrs_service.app.recorded_covariates import (
+from ahrs_service.app.loaded_covariates import (
     TlogClock,
     dataflash_covariates,
     moved,
