@@ -109,10 +109,11 @@ def residual_over_time(
 
 def against_covariates(covariates: Sequence[Covariate]) -> Figure:
     """Draw each residual against its covariate: bin means, the 2-sigma band of noise, the fit."""
-    rows = max(1, math.ceil(len(covariates) / _COLUMNS))
+    columns = min(_COLUMNS, max(1, len(covariates)))
+    rows = max(1, math.ceil(len(covariates) / columns))
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(10.0, 2.3 * rows), layout="constrained")
-        grid = figure.subplots(rows, _COLUMNS, squeeze=False).ravel()
+        figure = Figure(figsize=(3.4 * columns, 2.3 * rows), layout="constrained")
+        grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes in grid[len(covariates) :]:
             axes.set_axis_off()
         for item, axes in zip(covariates, grid, strict=False):

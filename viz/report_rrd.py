@@ -39,7 +39,7 @@ def write_report(
     path = Path(path)
     path.open("wb").close()
     recording = rr.RecordingStream(f"{entities.APPLICATION} diagnosis", recording_id=path.stem)
-    layout = _blueprint(list(where), list(pictures))
+    layout = _blueprint(list(where), list(pictures), _whole(time_s))
     recording.set_sinks(rr.FileSink(path), default_blueprint=layout)
     recording.log("words", rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN), static=True)
     for name, content in pictures.items():
@@ -87,12 +87,20 @@ def _send_spans(
         recording.log(entity, rr.StateChange(state=text))
 
 
-def _blueprint(findings: list[str], pictures: list[str]) -> rrb.Blueprint:
+def _whole(time_s: Floats) -> rrb.TimeAxis:
+    """Return an axis that shows the whole recording."""
+    if not len(time_s):
+        return rrb.TimeAxis()
+    first, last = (rrb.TimeRangeBoundary.absolute(seconds=t) for t in time_s[[0, -1]].tolist())
+    return rrb.TimeAxis(view_range=rr.TimeRange(start=first, end=last))
+
+
+def _blueprint(findings: list[str], pictures: list[str], axis: rrb.TimeAxis) -> rrb.Blueprint:
     plots = [
         rrb.TimeSeriesView(
             origin=f"residual/{channel}",
             name=f"{words(channel)} [{unit_of(channel)[0]}]: grey before, colour after",
-            axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+            axis_x=axis,
             plot_legend=rrb.PlotLegend(visible=False),
         )
         for channel in CHANNELS
@@ -103,10 +111,11 @@ def _blueprint(findings: list[str], pictures: list[str]) -> rrb.Blueprint:
     ]
     lower: list[rrb.View | rrb.Container] = []
     if findings:
-        lower.append(rrb.StateTimelineView(origin="/where", name="Where it shows"))
+        lower.append(rrb.StateTimelineView(origin="/where", name="Where it shows", time_view=axis))
     if views:
         lower.append(rrb.Tabs(*views))
-    right = rrb.Vertical(rrb.Grid(*plots, grid_columns=3), *lower)
+    shares = [1.0, *([0.3] if findings else []), *([0.8] if views else [])]
+    right = rrb.Vertical(rrb.Grid(*plots, grid_columns=3), *lower, row_shares=shares)
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.TextDocumentView(origin="words", name="What was found"),

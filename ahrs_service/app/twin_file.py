@@ -145,7 +145,15 @@ def _without_defaults(part: Any) -> dict[str, Any]:
     return table
 
 
-def with_effects(twin: Imu, effects: Iterable[tuple[Effect, Values]]) -> Imu:
-    """Return the twin with further effects; one of an id that it has takes its place."""
-    merged = {effect.id: (effect, values) for effect, values in (*twin.effects, *effects)}
+def with_effects(twin: Imu, found: Iterable[tuple[Effect, Values]]) -> Imu:
+    """Return the twin with what was found beside its effects.
+
+    Of an effect that it had already the linear parameters are summed, the others replaced.
+    """
+    merged = {effect.id: (effect, values) for effect, values in twin.effects}
+    for effect, values in found:
+        had = merged[effect.id][1] if effect.id in merged else {}
+        linear = {p.name for p in effect.parameters if p.step and p.name in had}
+        summed = {name: had[name] + values[name] for name in linear}
+        merged[effect.id] = (effect, {**values, **summed})
     return dataclasses.replace(twin, effects=tuple(merged.values()))
