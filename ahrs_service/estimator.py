@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service import intake, pipeline
+from ahrs_service.fusion import alignment
 from ahrs_service.fusion.aiding import HISTORY
 from ahrs_service.fusion.states import AIDED, GATED, UNAIDED
 from ahrs_service.records import (
@@ -55,7 +56,8 @@ class Estimator:
     ) -> None:
         self._smoother = smoother
         self._batch = pipeline.batch if smoother is None else smoother.batch
-        self._coefficients = coefficients(calibration or Calibration.ideal())
+        self._calibration = calibration or Calibration.ideal()
+        self._coefficients = coefficients(self._calibration)
         self._intake_state = intake.new_state()
         self._pipeline_state = pipeline.new_state()
         self.digest = hashlib.sha256()
@@ -66,6 +68,19 @@ class Estimator:
         """Take new settings from the next sample on."""
         self._intake_parameters = intake.parameters(settings.intake, settings.gate)
         self._pipeline_parameters = pipeline.parameters(settings)
+
+    def calibrate(self, calibration: Calibration) -> None:
+        """Take another calibration from the next sample on; what was found of the sensor goes."""
+        self._calibration = calibration
+        self._coefficients = coefficients(calibration)
+        settings = self._pipeline_parameters[0]
+        airframe = int(settings["airframe"])
+        if airframe < 0:
+            vehicle = int(self._intake_state["vehicle"][0])
+            airframe = int(self._intake_parameters["airframe_of_type"][0, vehicle])
+        alignment.forget_sensors(settings, self._pipeline_state[0], airframe)
+        if self._smoother is not None:
+            self._smoother.cut()
 
     def _reserve(self, count: int) -> None:
         self._samples = empty(SAMPLE_DTYPE, count)

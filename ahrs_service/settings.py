@@ -31,6 +31,22 @@ class IntakeSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class SensorSettings:
+    """Which calibration of the sensor is used.
+
+    `calibration` is a file, or a folder of which the one of this unit is taken, or "none"; empty
+    takes that of a recording, where it has one. `unit` is the serial number, or the number of the
+    autopilot's board in hex digits, where the autopilot does not tell it. `force_calibration` uses
+    one whose verdict says not to.
+    """
+
+    __pydantic_config__: ClassVar = _STRICT
+    calibration: str = ""
+    unit: str = ""
+    force_calibration: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class GateSettings:
     """Limits of the three motion gates (Liu et al., sec. 4) and of the checks around them.
 
@@ -267,6 +283,7 @@ class Settings:
 
     __pydantic_config__: ClassVar = _STRICT
     intake: IntakeSettings = field(default_factory=IntakeSettings)
+    sensor: SensorSettings = field(default_factory=SensorSettings)
     gate: GateSettings = field(default_factory=GateSettings)
     gate_budget: GateBudget = field(default_factory=GateBudget)
     fusion: FusionSettings = field(default_factory=FusionSettings)

@@ -25,6 +25,8 @@ _GAUSS_PER_UT: Final = 0.01
 _BATTERY_MAH: Final = 5000.0
 _UPDATED: Final = 0x1FFF
 _NO_VOLTAGE: Final = 65535
+_UNIT: Final = b"SIM-1"
+"""The number of the simulated board: the serial of its sensor, the rest zeros."""
 
 
 def _int16(value: float) -> int:
@@ -248,5 +250,6 @@ class FlightMessages:
         )
         nothing = [0] * 8
         return dialect.MAVLink_autopilot_version_message(
-            capabilities, 0, 0, 0, 0, nothing, nothing, nothing, 0, 0, 0
+            *(capabilities, 0, 0, 0, 0, nothing, nothing, nothing, 0, 0, 0),
+            list(_UNIT.ljust(18, b"\0")),
         )

@@ -18,6 +18,7 @@ from links.parameters import ParameterServer
 from links.status_texts import StatusTexts
 from links.timesync import TimeSync
 from links.trim_request import TrimRequest
+from links.unit_request import UnitRequest
 
 HEARTBEAT_S: Final = 1.0
 VEHICLE_LOST_S: Final = 5.0
@@ -56,6 +57,8 @@ class Component:
         self._events: deque[tuple[str, str]] = deque(maxlen=_EVENTS)
         self._texts = StatusTexts()
         self._trim = TrimRequest()
+        self._unit = UnitRequest()
+        self._wants_unit = settings.sensor.calibration != ""
         self._autopilot = _INVALID
         self._state = "boot"
         self._next_heartbeat_s = float("-inf")
@@ -77,6 +80,7 @@ class Component:
             int(dialect.MAVLINK_MSG_ID_PARAM_REQUEST_READ): self._on_parameter,
             int(dialect.MAVLINK_MSG_ID_PARAM_SET): self._on_parameter,
             int(dialect.MAVLINK_MSG_ID_PARAM_VALUE): self._on_parameter_value,
+            int(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION): self._on_version,
         }
 
     @property
@@ -88,6 +92,11 @@ class Component:
     def vehicle(self) -> Sender:
         """System and component number of the adopted autopilot, (-1, -1) before."""
         return self._neighbours.vehicle
+
+    @property
+    def unit(self) -> str:
+        """The number of the autopilot's board, as links.unit_request writes it; "" before."""
+        return self._unit.unit
 
     @property
     def traffic(self) -> Traffic:
@@ -124,6 +133,8 @@ class Component:
             if self._autopilot == _INVALID:
                 self._autopilot = message.autopilot
                 self._trim.begin(self._autopilot)
+                if self._wants_unit:
+                    self._unit.begin()
             if self._lost:
                 self._lost = False
                 self._tell("info", "vehicle heard again; asking for its messages anew")
@@ -206,6 +217,12 @@ class Component:
             self._trim.heard(message)
         return []
 
+    def _on_version(self, message: Any, sender: Sender, now_s: float) -> list[Any]:
+        del now_s
+        if sender == self.vehicle:
+            self._unit.heard(message)
+        return []
+
     # -- out ----------------------------------------------------------------------------------
 
     def publish(self, estimate: Record) -> list[Any]:
@@ -239,6 +256,7 @@ class Component:
             out += self.intervals.tick(now_s, *self.vehicle)
             out += self.timesync.tick(now_s)
             out += self._trim.tick(now_s, *self.vehicle)
+            out += self._unit.tick(now_s, *self.vehicle)
         self._let_estimate_age(now_s)
         return out + self._parameters.tick() + self._texts.tick(now_s)
 

@@ -19,11 +19,13 @@ from links.recording import Recording
 from links.references import attitude_references
 from links.session_marks import read_marks
 from links.tlog import Key, TlogFile, read_tlog
+from links.unit_request import unit_name
 from links.vehicle_trim import trim_notes
 
 _TIME_LIMIT_NS: Final = 2**63 - 1
 _ALL_UPDATED: Final = 0xFFFF
 _NAN: Final = float("nan")
+_AUTOPILOT: Final = 1
 
 
 _FLOATS: Final = tuple(
@@ -227,7 +229,17 @@ def recording_from_tlog(
         message_counts=counts,
         damaged={name: count for name, count in tlog.damaged.items() if count},
         notes=(*_notes(readings), *trim_notes(readings), *doubts),
+        unit=_unit(tlog),
     )
+
+
+def _unit(tlog: TlogFile) -> str:
+    """Return the number of the board that the first autopilot told, "" if none did."""
+    for key in tlog.tables:
+        if key[1:] == (_AUTOPILOT, "AUTOPILOT_VERSION"):
+            row = tlog.tables[key][-1]
+            return unit_name(int(row["uid"]), row["uid2"].tobytes())
+    return ""
 
 
 def _without_doubtful_courses(tlog: TlogFile, readings: Rows) -> tuple[Rows, tuple[str, ...]]:

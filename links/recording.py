@@ -28,7 +28,8 @@ class Recording:
     """A recording as the pipeline takes it.
 
     `readings` [N] READING_DTYPE in order of arrival; `message_counts` messages by name;
-    `damaged` frames or bytes that could not be read, by reason; `notes` facts for the user.
+    `damaged` frames or bytes that could not be read, by reason; `notes` facts for the user;
+    `unit` the number of the autopilot's board (links.unit_request), empty where it is not told.
     """
 
     path: Path
@@ -38,3 +39,4 @@ class Recording:
     message_counts: dict[str, int] = field(default_factory=dict)
     damaged: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    unit: str = ""

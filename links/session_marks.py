@@ -1,8 +1,9 @@
-"""Settings and estimator state inside a .tlog, as TUNNEL messages of our own component.
+"""Settings, calibration and estimator state inside a .tlog, as TUNNEL messages of our component.
 
-Every file of a recording begins, at its first frame, with the settings in force and, after a
-rotation, the state; a change of settings is marked where it happened. A replay of any one file then
-starts and goes on as the live service did, and other readers of the file skip the messages.
+Every file of a recording begins, at its first frame, with the settings in force, the calibration if
+there is one, and, after a rotation, the state; a change of settings or of the calibration is marked
+where it happened. A replay of any one file then starts and goes on as the live service did, and
+other readers of the file skip the messages.
 """
 
 import struct
@@ -23,6 +24,7 @@ class MarkKind(IntEnum):
 
     SETTINGS = 0xA501
     STATE = 0xA502
+    CALIBRATION = 0xA503
 
 
 @dataclass(frozen=True, slots=True)

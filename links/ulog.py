@@ -15,6 +15,7 @@ from ahrs_service.records import READING_DTYPE, ImuSource, Kind, Rows, empty
 from links.errors import RecordingError
 from links.gps_velocity import LEAST_FIX
 from links.recording import AttitudeReference, Recording
+from links.unit_request import unit_name
 
 Floats = npt.NDArray[np.float64]
 Table = dict[str, npt.NDArray[Any]]
@@ -68,6 +69,7 @@ def read_ulog(path: str | Path, progress: Callable[[float], None] | None = None)
         message_counts=tables.counts,
         damaged=tables.damaged,
         notes=(f"IMU temperature: {origin}", *tables.notes),
+        unit=tables.unit,
     )
 
 
@@ -80,6 +82,7 @@ class _Tables:
     damaged: dict[str, int]
     notes: tuple[str, ...]
     vehicle: int
+    unit: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +136,15 @@ def _load(path: Path, progress: Callable[[float], None] | None) -> _Tables:
     counts: dict[str, int] = {}
     for (name, _), data in topics.items():
         counts[name] = counts.get(name, 0) + len(data["timestamp"])
-    return _Tables(topics, counts, damaged, notes, _vehicle(log.initial_parameters))
+    vehicle, unit = _vehicle(log.initial_parameters), _unit(log.msg_info_dict)
+    return _Tables(topics, counts, damaged, notes, vehicle, unit)
+
+
+def _unit(about: dict[str, Any]) -> str:
+    """Return the number of the board, which PX4 sends as AUTOPILOT_VERSION.uid2; "" if damaged."""
+    with contextlib.suppress(ValueError):
+        return unit_name(0, bytes.fromhex(str(about.get("sys_uuid", ""))))
+    return ""
 
 
 def _vehicle(parameters: dict[str, Any]) -> int:

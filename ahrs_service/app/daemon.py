@@ -11,11 +11,13 @@ import gc
 import math
 import os
 import time
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
-from ahrs_service.app import config_file
+from ahrs_service.app import calibration_file, config_file
+from ahrs_service.app.calibration_choice import CalibrationShelf
 from ahrs_service.app.observer import Observer
 from ahrs_service.app.statistics import Session
 from ahrs_service.estimator import Estimator, compile_kernels
@@ -50,8 +52,9 @@ Log = Callable[[str, str], None]
 class Daemon:
     """The service on one link; `run` serves until `stop`.
 
+    To make one raises ConfigError for a calibration that cannot or must not be used.
     `on_estimate` is given every estimate [1], a view that the next one overwrites. `session`,
-    `health`, `latest`, `component`, `decoder` and `link` can be looked at meanwhile;
+    `health`, `latest`, `component`, `calibration`, `decoder` and `link` can be looked at meanwhile;
     `forged_marks` counts frames that were kept out of the recording (links.session_marks).
     """
 
@@ -64,7 +67,10 @@ class Daemon:
         self.settings = settings
         self.session = Session()
         self.health = HealthMonitor()
-        self.estimator = Estimator(settings)
+        self._shelf = CalibrationShelf(settings.sensor)
+        self.calibration = self._shelf.choose("")
+        known = None if self.calibration is None else self.calibration.calibration
+        self.estimator = Estimator(settings, known)
         self.latest: Record | None = None
         self.recorder: Recorder | None = None
         self.observer: Observer | None = None
@@ -82,6 +88,7 @@ class Daemon:
         self._rows = empty(READING_DTYPE, 1)
         self._notifier = ServiceNotifier()
         self._ticks = 0
+        self._unit = ""
 
     # -- life ---------------------------------------------------------------------------------
 
@@ -89,6 +96,7 @@ class Daemon:
         """Serve until `stop` is called; every file is whole when this returns or raises."""
         compile_kernels(self.settings)
         self._open_outputs()
+        self._tell_calibration()
         try:
             await self.link.start()
             self._notifier.ready(f"listening on {self.settings.link.uri}")
@@ -165,6 +173,9 @@ class Daemon:
             if self.observer is not None:
                 self.observer.message(message)
         self._take_new_settings()
+        if self.component.unit != self._unit:
+            self._unit = self.component.unit
+            self._take_unit()
 
     def _use(self, estimates: Rows, started_s: float) -> None:
         """Publish one estimate and tell whoever looks."""
@@ -219,13 +230,47 @@ class Daemon:
             for frame in self._mark(MarkKind.SETTINGS, config_file.to_json(settings)):
                 self.recorder.write(self.recorder.last_stamp_us, frame)
 
+    # -- the calibration ----------------------------------------------------------------------
+
+    def _tell_calibration(self) -> None:
+        for note in self._shelf.notes:
+            self._say("warning", note)
+        if self.calibration is not None:
+            self._say("info", self.calibration.text())
+        elif self._shelf.is_folder:
+            self._say("info", "calibration: waiting for the autopilot to tell its unit")
+
+    def _take_unit(self) -> None:
+        """Put the calibration of the unit that the autopilot told into force."""
+        warning, choice = self._shelf.mismatch(self._unit), self._shelf.choose(self._unit)
+        if choice is None:
+            warning = self._shelf.refusal(self._unit)
+        elif choice != self.calibration:
+            self.calibration = choice
+            self.estimator.calibrate(choice.calibration)
+            if self.recorder is not None:
+                for frame in self._calibration_marks():
+                    self.recorder.write(self.recorder.last_stamp_us, frame)
+            self._say("info", choice.text())
+        if warning:
+            self._say("warning", warning)
+        used = "none for this unit" if choice is None else choice.calibration.serial
+        self.component.announce(f"calibration: {used}", not warning, time.monotonic())
+
+    def _calibration_marks(self) -> list[bytes]:
+        if self.calibration is None:
+            return []
+        data = calibration_file.to_json(self.calibration.calibration)
+        return self._mark(MarkKind.CALIBRATION, zlib.compress(data))
+
     def _mark(self, kind: MarkKind, data: bytes) -> list[bytes]:
         encoder = Encoder(self.component.system or 1, self.settings.link.component)
         return [encoder.pack(message) for message in mark_messages(kind, data)]
 
     def _recording_header(self) -> list[bytes]:
-        """Frames that begin every file: the settings and, in mid-session, the state."""
+        """Frames that begin every file: settings, calibration and, in mid-session, the state."""
         frames = self._mark(MarkKind.SETTINGS, config_file.to_json(self.settings))
+        frames += self._calibration_marks()
         if self.session.estimates or self.component.system:
             frames += self._mark(MarkKind.STATE, self.estimator.save())
         return frames

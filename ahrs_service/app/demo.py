@@ -58,6 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--headless", action="store_true", help="open no viewer window, also where a screen is"
     )
     options.add_settings(parser, with_file=False)
+    options.add_calibration(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -69,7 +70,8 @@ def run(arguments: argparse.Namespace) -> int:
         )
     settings = options.settings_of(arguments)
     files = _files(arguments.out)
-    settings = _with_places(settings, files)
+    sensor = options.sensor_of(arguments, settings.sensor)
+    settings = _with_places(dataclasses.replace(settings, sensor=sensor), files)
     console.print("[dim]compiling kernels (some seconds on the first start)[/]")
     try:
         flown = asyncio.run(_fly(settings, arguments, console))

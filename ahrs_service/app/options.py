@@ -1,10 +1,11 @@
 """Options that several commands share, and the values that they take."""
 
 import argparse
+import dataclasses
 import math
 
 from ahrs_service.app import config_file, profiles
-from ahrs_service.settings import Settings
+from ahrs_service.settings import SensorSettings, Settings
 
 
 def add_settings(parser: argparse.ArgumentParser, with_file: bool = True) -> None:
@@ -26,6 +27,30 @@ def add_settings(parser: argparse.ArgumentParser, with_file: bool = True) -> Non
         default=[],
         help="change one setting, as gate.norm_m_s2=0.4; may be given several times",
     )
+
+
+def add_calibration(parser: argparse.ArgumentParser) -> None:
+    """Add `--calibration` and `--force-calibration`."""
+    parser.add_argument(
+        "--calibration",
+        metavar="FILE|DIR",
+        help="calibration of the sensor, or a folder of which that of this unit is taken (by the "
+        "number of the autopilot's board, or sensor.unit); none for none",
+    )
+    parser.add_argument(
+        "--force-calibration",
+        action="store_true",
+        help="use a calibration although its verdict says not to",
+    )
+
+
+def sensor_of(arguments: argparse.Namespace, settings: SensorSettings) -> SensorSettings:
+    """Return `settings` with what the options of `add_calibration` say above them."""
+    if arguments.calibration is not None:
+        settings = dataclasses.replace(settings, calibration=arguments.calibration)
+    if arguments.force_calibration:
+        settings = dataclasses.replace(settings, force_calibration=True)
+    return settings
 
 
 def has_settings(arguments: argparse.Namespace) -> bool:

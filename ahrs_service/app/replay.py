@@ -13,7 +13,7 @@ The tables show both, the files hold the smoothed attitude, the digest is that o
 before, so that it still can be compared.
 
 A recording made by this service carries its settings; they hold unless --profile,
---config or --set is given.
+--config or --set is given. So it does its calibration, which holds unless --calibration is given.
 """
 
 import argparse
@@ -36,6 +36,7 @@ from ahrs_service.app.export_tlog import write_tlog
 from ahrs_service.app.replay_log import ReplayResult, replay_log
 from ahrs_service.app.report import log_table, summary_table
 from ahrs_service.app.summary import Summary
+from ahrs_service.settings import Settings
 from links.errors import RecordingError
 from links.recording_formats import KNOWN, READERS
 
@@ -83,11 +84,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--smooth", action="store_true", help="smooth the attitude, forward and backward in time"
     )
     options.add_settings(parser)
+    options.add_calibration(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Replay every log; return 0 if all were, 1 if some were refused or failed."""
     settings = options.settings_of(args) if options.has_settings(args) else None
+    sensor = options.sensor_of(args, (settings or Settings()).sensor)
     logs = _logs(args.logs)
     console = Console()
     errors = Console(stderr=True, soft_wrap=True, highlight=False)
@@ -96,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
     for path in logs:
         try:
             with progress_bar(errors, path.name) as advance:
-                result = replay_log(path, settings, advance, smooth=args.smooth)
+                result = replay_log(path, settings, advance, sensor, args.smooth)
                 written = outputs.write(result, advance)
         except RecordingError as error:
             errors.print(f"[bold red]refused:[/] {escape(str(error))}")

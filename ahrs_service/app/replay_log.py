@@ -1,5 +1,6 @@
 """One recording through the estimator: the function that replay and fleet share."""
 
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,12 +8,13 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.app import config_file
+from ahrs_service.app import calibration_file, config_file
+from ahrs_service.app.calibration_choice import NONE, CalibrationShelf
 from ahrs_service.app.summary import Summary, summarise
 from ahrs_service.estimator import Estimator, StateError
 from ahrs_service.records import ESTIMATE_DTYPE, Integers, Kind, Rows, empty
 from ahrs_service.sensor.parameters import Calibration
-from ahrs_service.settings import Settings
+from ahrs_service.settings import SensorSettings, Settings
 from ahrs_service.smoothing import Smoother
 from links.errors import RecordingError
 from links.readings import from_tables
@@ -47,20 +49,28 @@ def replay_log(
     path: str | Path,
     settings: Settings | None = None,
     advance: Advance | None = None,
-    calibration: Calibration | None = None,
+    sensor: SensorSettings | None = None,
     smooth: bool = False,
 ) -> ReplayResult:
     """Replay one recording; RecordingError says in a sentence why it cannot be.
 
-    Without `settings` those that the recording carries hold, else the defaults. `advance` is
-    called with what is being done and the share done, 0 to 1. Equal files and settings give equal
-    bytes, and the bytes of the live session where the recording is of one.
+    Without `settings` those that the recording carries hold, else the defaults; without a
+    calibration named by `sensor` (else by `settings`) that which it carries, else none. `advance`
+    is called with what is being done and the share done, 0 to 1. Equal files, settings and
+    calibrations give equal bytes, and the bytes of the live session where the recording is of one.
+    ConfigError where the calibration named cannot or must not be used.
     """
     told = advance or _silent
     recording = read_recording(path, lambda share: told("reading", share))
-    marks = _marks(recording) if settings is None else []
+    calibration, origin = _calibration(recording, sensor or (settings or Settings()).sensor)
+    obeyed = {MarkKind.SETTINGS} if settings is None else set()
+    obeyed |= {MarkKind.CALIBRATION} if calibration is None else set()
+    # A state goes with the settings and the calibration under which it came to be.
+    obeyed |= {MarkKind.STATE} if len(obeyed) == 2 else set()
+    marks = [(place, mark) for place, mark in _marks(recording) if mark.kind in obeyed]
     smoother = Smoother() if smooth else None
     replay = _Replay(recording, settings, marks, calibration, smoother)
+    replay.calibration = origin
     for share in replay.run():
         told("estimating", share)
     estimates, positions = replay.columns()
@@ -73,7 +83,13 @@ def replay_log(
         smoother.smooth(smoothed)
     told("comparing", 0.0)
     summary = summarise(
-        recording, replay.estimator, estimates, replay.settings.intake, replay.origin, smoothed
+        recording,
+        replay.estimator,
+        estimates,
+        replay.settings.intake,
+        replay.origin,
+        replay.calibration,
+        smoothed,
     )
     system = int(replay.estimator.intake_state["system"][0])
     if smoothed is not None:
@@ -83,6 +99,20 @@ def replay_log(
 
 def _silent(stage: str, share: float) -> None:
     del stage, share
+
+
+def _calibration(recording: Recording, sensor: SensorSettings) -> tuple[Calibration | None, str]:
+    """Return the calibration that is asked for, and what it is; None where none is."""
+    if sensor.calibration == NONE:
+        return Calibration.ideal(), "none, as asked"
+    shelf = CalibrationShelf(sensor)
+    choice = shelf.choose(recording.unit)
+    if choice is None:
+        if shelf.is_folder:
+            raise RecordingError(f"{recording.path}: {shelf.refusal(recording.unit)}")
+        return None, "none"
+    warning = shelf.mismatch(recording.unit)
+    return choice.calibration, f"{choice.text()}; {warning}" if warning else choice.text()
 
 
 class _Replay:
@@ -98,6 +128,7 @@ class _Replay:
     ) -> None:
         self.settings = settings or Settings()
         self.origin = "the defaults" if settings is None else "as given"
+        self.calibration = "none"
         self.estimator = Estimator(self.settings, calibration, smoother)
         self._recording = recording
         self._marks = marks
@@ -135,6 +166,9 @@ class _Replay:
             except StateError as error:
                 raise RecordingError(f"{self._recording.path}: {error}; or give --config") from None
             return
+        if mark.kind == MarkKind.CALIBRATION:
+            self._calibrate(mark.data)
+            return
         try:
             self.settings = config_file.from_json(mark.data, str(self._recording.path))
         except config_file.ConfigError as error:
@@ -143,6 +177,19 @@ class _Replay:
             ) from None
         self.estimator.configure(self.settings)
         self.origin = "those of the recording"
+
+    def _calibrate(self, data: bytes) -> None:
+        """Take the calibration that the live service used from here on."""
+        origin = str(self._recording.path)
+        try:
+            calibration = calibration_file.from_json(zlib.decompress(data), origin)
+        except (config_file.ConfigError, zlib.error) as error:
+            raise RecordingError(
+                f"the calibration recorded cannot be used here ({error}); "
+                "give --calibration FILE, or none"
+            ) from None
+        self.estimator.calibrate(calibration)
+        self.calibration = f"that of the recording, serial {calibration.serial or 'not told'}"
 
 
 def _marks(recording: Recording) -> list[tuple[int, Mark]]:

@@ -98,6 +98,7 @@ def _rows(summary: Summary) -> Iterable[tuple[str, str]]:
     for note in summary.notes:
         yield "note", note
     yield "settings", summary.settings_origin
+    yield "calibration", summary.calibration
 
 
 def _messages(summary: Summary) -> str:

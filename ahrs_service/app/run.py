@@ -8,6 +8,7 @@ Examples:
   ahrs-service run --link serial:/dev/ttyAMA0:921600 --record flights --viewer
   ahrs-service run --config configs/ardupilot.toml --set publish.attitude_rate_hz=100
   ahrs-service run --config configs/px4.toml --profile fixed_wing
+  ahrs-service run --link udpin:127.0.0.1:14550 --calibration configs/calibrations
 
 """
 
@@ -41,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEV:BAUD",
     )
     options.add_settings(parser)
+    options.add_calibration(parser)
     parser.add_argument("--record", metavar="PATH", help="folder or .tlog file to record to")
     parser.add_argument(
         "--viewer",
@@ -74,7 +76,8 @@ def settings_from(arguments: argparse.Namespace) -> Settings:
         viewer = dataclasses.replace(viewer, port=arguments.viewer)
     if arguments.rrd:
         viewer = dataclasses.replace(viewer, rrd=arguments.rrd)
-    return dataclasses.replace(settings, link=link, recorder=recorder, viewer=viewer)
+    sensor = options.sensor_of(arguments, settings.sensor)
+    return dataclasses.replace(settings, sensor=sensor, link=link, recorder=recorder, viewer=viewer)
 
 
 def run(arguments: argparse.Namespace) -> int:

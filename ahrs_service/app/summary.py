@@ -60,6 +60,7 @@ class Summary:
     smoothed_comparison: Comparison | None
     heading: str
     settings_origin: str
+    calibration: str
     digest: str
 
     def to_plain(self) -> dict[str, Any]:
@@ -74,6 +75,7 @@ def summarise(
     estimates: Rows,
     settings: IntakeSettings,
     settings_origin: str,
+    calibration: str,
     smoothed: Rows | None = None,
 ) -> Summary:
     """Gather the summary of one replay from its estimates, before and after they were smoothed."""
@@ -121,6 +123,7 @@ def summarise(
         smoothed_comparison=smoothed_comparison,
         heading=_HEADINGS.get(source, "free"),
         settings_origin=settings_origin,
+        calibration=calibration,
         digest=estimator.digest.hexdigest(),
     )
 

@@ -134,6 +134,8 @@ def session_table(daemon: Daemon) -> Table:
     table.add_column(overflow="fold")
     shares = [f"{share:6.1%}  {text}" for text, share in session.gates.shares().items()]
     table.add_row("time per gate state", "\n".join(shares) or "no estimate")
+    if daemon.calibration is not None:
+        table.add_row("calibration", daemon.calibration.text().removeprefix("calibration "))
     rates = [
         f"{rate.name}: asked {rate.asked_hz:g}, came {rate.mean_hz:.1f} Hz ({rate.state})"
         for rate in daemon.component.rates()

@@ -44,6 +44,33 @@ REST_BIAS_SIGMA_RAD_S: Final = 0.002
 
 
 @kernel
+def forget_sensors(settings: Record, state: Record, airframe: int) -> None:
+    """Know no more of the sensors than before the first sample; the attitude is kept."""
+    for i in range(3):
+        state["gyro_bias_rad_s"][i] = state["accel_bias_m_s2"][i] = 0.0
+        for j in range(3):
+            state["gyro_matrix"][i, j] = 0.0
+    if state["states"] > 0:
+        _doubt_sensors(settings, state["covariance"], airframe)
+
+
+@kernel
+def _doubt_sensors(settings: Record, p: Floats, airframe: int) -> None:
+    """Set the errors of the sensors to what is left by their calibration, independent of all."""
+    gyro_matrix_sigma = settings["gyro_matrix_sigma"][airframe]
+    sigmas = (
+        (GYRO_BIAS, settings["gyro_bias_sigma_rad_s"]),
+        (ACCEL_BIAS, settings["accel_bias_sigma_m_s2"][airframe]),
+        (GYRO_MATRIX, gyro_matrix_sigma),
+        (GYRO_MATRIX + 3, gyro_matrix_sigma),
+        (GYRO_MATRIX + 6, gyro_matrix_sigma),
+    )
+    for first, sigma in sigmas:
+        for i in range(first, first + 3):
+            mekf.forget(p, i, sigma**2)
+
+
+@kernel
 def start(settings: Record, state: Record, airframe: int) -> None:
     """Forget attitude and velocity and begin to align; what was found of the sensors is kept."""
     p = state["covariance"]
@@ -54,17 +81,9 @@ def start(settings: Record, state: Record, airframe: int) -> None:
     speed = max(
         settings["forward_speed_m_s"][airframe], settings["velocity_sigma_m_s"][airframe, 0]
     )
-    sigmas = (
-        (GYRO_BIAS, settings["gyro_bias_sigma_rad_s"]),
-        (VELOCITY, speed),
-        (ACCEL_BIAS, settings["accel_bias_sigma_m_s2"][airframe]),
-        (GYRO_MATRIX, settings["gyro_matrix_sigma"][airframe]),
-        (GYRO_MATRIX + 3, settings["gyro_matrix_sigma"][airframe]),
-        (GYRO_MATRIX + 6, settings["gyro_matrix_sigma"][airframe]),
-    )
-    for first, sigma in sigmas:
-        for i in range(3):
-            p[first + i, first + i] = sigma**2
+    for i in range(VELOCITY, VELOCITY + 3):
+        p[i, i] = speed**2
+    _doubt_sensors(settings, p, airframe)
     for i in range(3):
         state["velocity_ned_m_s"][i] = 0.0
         state["gyro_sum_rad_s"][i] = 0.0
