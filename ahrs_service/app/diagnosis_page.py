@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.app import diagnosis_text as text
-from ahrs_service.diagnosis.result import Diagnosis, Finding, Holdout, as_json
+from ahrs_service.diagnosis.result import Diagnosis, Finding, as_json
 
 PANELS_SHOWN: Final = 12
 """Panels of residual against covariate, the most telling first."""
@@ -47,8 +47,8 @@ def _body(name: str, diagnosis: Diagnosis, against: tuple[str, Diagnosis] | None
         yield f"<h2>Not explained: {_safe(text.words(item.channel))}</h2>"
         yield f"<p>{_safe(text.unexplained_text(item))}</p>"
     yield from _pictures(diagnosis)
-    if diagnosis.holdout is not None:
-        yield from _holdout(diagnosis, diagnosis.holdout)
+    if diagnosis.findings:
+        yield from _holdout(diagnosis)
     if against is not None:
         yield from _against(diagnosis, *against)
     if diagnosis.not_observable:
@@ -113,28 +113,24 @@ def _pictures(diagnosis: Diagnosis) -> Iterator[str]:
         yield _picture(plots.as_svg(plots.against_covariates(telling)))
 
 
-def _holdout(diagnosis: Diagnosis, holdout: Holdout) -> Iterator[str]:
+def _holdout(diagnosis: Diagnosis) -> Iterator[str]:
     from viz import report_plots as plots  # noqa: PLC0415
 
     yield "<h2>On held-out parts of the recording</h2>"
-    bars = plots.holdout_bars(
-        ["rms", "rms below 0.05 Hz"],
-        [np.array(holdout.rms_before), np.array(holdout.low_frequency_rms_before)],
-        [np.array(holdout.rms_after), np.array(holdout.low_frequency_rms_after)],
-        "SI",
-    )
-    yield _picture(plots.as_svg(bars))
-    rows = [("log-likelihood gain [nats]", "", f"{holdout.log_likelihood_gain:.1f}")]
-    run = diagnosis.free_run
-    if run is not None:
-        rows.append(
-            (
-                "attitude error after 60 s of gyro alone [deg]",
-                f"{run.before:.3f}",
-                f"{run.after:.3f}",
-            )
+    for finding in diagnosis.findings:
+        held = finding.holdout
+        triad, unit = text.triad_of(finding.effect), text.unit_of(finding.effect)
+        bars = plots.holdout_bars(
+            [f"{triad} rms", f"{triad} rms below 0.05 Hz"],
+            [np.array(held.rms_before), np.array(held.low_frequency_rms_before)],
+            [np.array(held.rms_after), np.array(held.low_frequency_rms_after)],
+            unit,
         )
-    yield _table(("", "before", "after"), rows)
+        gain = f"gains {held.log_likelihood_gain:.1f} nats of likelihood"
+        yield f"<p>{_safe(text.title(finding.effect))}: {gain}</p>"
+        yield _picture(plots.as_svg(bars))
+    if diagnosis.free_run is not None:
+        yield f"<p>{_safe(text.free_run_text(diagnosis.free_run))}</p>"
 
 
 def _against(real: Diagnosis, name: str, simulated: Diagnosis) -> Iterator[str]:

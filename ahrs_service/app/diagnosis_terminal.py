@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ahrs_service.app import diagnosis_text as text
-from ahrs_service.diagnosis.result import Diagnosis, Holdout
+from ahrs_service.diagnosis.result import Diagnosis
 
 _STYLES = {"no_mismatch": "green", "explained": "yellow", "unexplained": "red"}
 
@@ -29,8 +29,10 @@ def _parts(name: str, diagnosis: Diagnosis) -> Iterator[RenderableType]:
         yield Padding(Text(f"{number}. {text.paragraph(finding)}"), (0, 0, 1, 0))
     for item in diagnosis.unexplained:
         yield Text(f"? {text.unexplained_text(item)}", style="red")
-    if diagnosis.holdout is not None:
-        yield holdout_table(diagnosis, diagnosis.holdout)
+    if diagnosis.findings:
+        yield holdout_table(diagnosis)
+    if diagnosis.free_run is not None:
+        yield Text(text.free_run_text(diagnosis.free_run))
     if diagnosis.not_observable:
         yield not_observable_table(diagnosis)
     for note in diagnosis.notes:
@@ -56,27 +58,25 @@ def findings_table(diagnosis: Diagnosis) -> Table:
     return table
 
 
-def holdout_table(diagnosis: Diagnosis, holdout: Holdout) -> Table:
-    """Return the residual on held-out parts before and after, and the free run."""
+def holdout_table(diagnosis: Diagnosis) -> Table:
+    """Return the residual on held-out parts before and after each finding, and the free run."""
     table = Table(title="on held-out parts of the recording", title_justify="left", box=box.SIMPLE)
     table.add_column("")
-    for name in ("before", "after"):
-        table.add_column(name, justify="right")
-    rows = (
-        ("rms", holdout.rms_before, holdout.rms_after),
-        (
-            "rms below 0.05 Hz",
-            holdout.low_frequency_rms_before,
-            holdout.low_frequency_rms_after,
-        ),
-    )
-    for name, before, after in rows:
-        for axis, old, new in zip("xyz", before, after, strict=True):
-            table.add_row(f"{name} {axis}", f"{old:.4g}", f"{new:.4g}")
-    table.add_row("log-likelihood gain", "", f"{holdout.log_likelihood_gain:.1f}")
-    run = diagnosis.free_run
-    if run is not None:
-        table.add_row("attitude error after 60 s free", f"{run.before:.2f}°", f"{run.after:.2f}°")
+    for name in ("x", "y", "z"):
+        table.add_column(f"{name} before → after", justify="right")
+    for finding in diagnosis.findings:
+        held = finding.holdout
+        for what, before, after in (
+            ("", held.rms_before, held.rms_after),
+            (
+                ", below 0.05 Hz",
+                held.low_frequency_rms_before,
+                held.low_frequency_rms_after,
+            ),
+        ):
+            name = f"{text.triad_of(finding.effect)} rms{what} [{text.unit_of(finding.effect)}]"
+            cells = (f"{old:.3g} → {new:.3g}" for old, new in zip(before, after, strict=True))
+            table.add_row(name, *cells)
     return table
 
 

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 from ahrs_service.calibration.folding import why_not_live
-from ahrs_service.diagnosis.result import Diagnosis, Estimated, Finding, Unexplained, Where
+from ahrs_service.diagnosis.result import Diagnosis, Estimated, Finding, FreeRun, Unexplained, Where
 from ahrs_service.effects.catalogue import effect_of
 
 VERDICTS: Final = {
@@ -17,6 +17,7 @@ VERDICTS: Final = {
 """The verdict as a sentence."""
 
 _SPANS_SHOWN: Final = 3
+_SMALLEST_POWER: Final = -3
 
 
 def paragraph(finding: Finding) -> str:
@@ -92,10 +93,12 @@ def _numbers(value: Any, std: Any) -> str:
         return "(" + ", ".join(_numbers(v, s) for v, s in zip(value, std, strict=True)) + ")"
     if not np.isfinite(std) or std <= 0.0:
         return f"{float(value):.4g}"
-    digits = int(np.clip(1 - np.floor(np.log10(std)), 0, 8))
-    if digits > 5:
-        return f"{float(value):.3g} ± {float(std):.1g}"
-    return f"{float(value):.{digits}f} ± {float(std):.{digits}f}"
+    # Two digits of the sigma say all; small numbers are written with their power of ten.
+    size = int(np.floor(np.log10(max(abs(value), std))))
+    power = size if size < _SMALLEST_POWER else 0
+    digits = max(0, 1 + power - int(np.floor(np.log10(std))))
+    text = f"{value / 10.0**power:.{digits}f} ± {std / 10.0**power:.{digits}f}"
+    return f"({text})e{power}" if power else text
 
 
 def title(effect: str) -> str:
@@ -103,6 +106,24 @@ def title(effect: str) -> str:
     sensor = {"gyro": "gyro: ", "accel": "accelerometer: ", "imu": ""}
     found = effect_of(effect)
     return sensor[found.triad] + found.title
+
+
+def triad_of(effect: str) -> str:
+    """Return the triad whose residual a finding's held-out figures are of."""
+    return "accel" if effect_of(effect).triad == "accel" else "gyro"
+
+
+def unit_of(effect: str) -> str:
+    """Return the unit of a finding's held-out figures."""
+    return "m/s^2" if triad_of(effect) == "accel" else "rad/s"
+
+
+def free_run_text(run: FreeRun) -> str:
+    """Say how far the attitude runs off when the gyro is alone."""
+    return (
+        f"Attitude error after 60 s of the gyro alone: {run.before:.2f} deg before, "
+        f"{run.after:.2f} deg after."
+    )
 
 
 def words(name: str) -> str:
