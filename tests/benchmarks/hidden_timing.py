@@ -23,12 +23,12 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from ahrs_service.app.diagnose import diagnose_file
 from rich.console import Console
 from rich.table import Table
 from seed_systems import TABLE_PROFILE, TABLE_S, TABLES, estimate, largest_errors
 
 from ahrs_service.app import config_file
+from ahrs_service.app.diagnose import diagnose_file
 from ahrs_service.app.simulate import RECORDED_RATES_HZ, write_tlog
 from ahrs_service.diagnosis.result import Diagnosis
 from ahrs_service.records import Airframe

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.diagnosis.known import with_effects
 from ahrs_service.diagnosis.recorded import Recorded, Series
-from ahrs_service.effects.base import Columns, Effect, Values, apply
+from ahrs_service.effects.base import Effect, Values
 from ahrs_service.records import Floats
 from ahrs_service.rotation import multiply_columns
 from ahrs_service.simulation.reference import continuous, smooth
@@ -65,52 +66,18 @@ def broad_trial(path: Path) -> Recorded:
 def planted(recorded: Recorded, effect: Effect, values: Values) -> Recorded:
     """Return a recording whose raw IMU had this effect too: added, quantised, clipped.
 
-    The motion by which the effect acts is the IMU's own, smoothed over 50 ms; the sum is cut to
-    whole counts of an MPU-6000 and to its range, as the autopilot reads it.
+    The sum is cut to whole counts of an MPU-6000 and to its range, as the autopilot reads it.
     """
-    gyro, accel = recorded.gyro_rad_s, recorded.accel_m_s2
-    columns = _columns(recorded)
-    felt_gyro, felt_accel = apply(columns, [(effect, values)])
-    gyro = gyro + (felt_gyro - columns.rate_rad_s)
-    accel = accel + (felt_accel - columns.force_m_s2)
+    felt = with_effects(recorded, [(effect, values)])
     return replace(
-        recorded,
-        gyro_rad_s=_counted(gyro, GYRO_LSB_RAD_S),
-        accel_m_s2=_counted(accel, ACCEL_LSB_M_S2),
+        felt,
+        gyro_rad_s=_counted(felt.gyro_rad_s, GYRO_LSB_RAD_S),
+        accel_m_s2=_counted(felt.accel_m_s2, ACCEL_LSB_M_S2),
     )
 
 
 def _counted(values: Floats, unit: float) -> Floats:
     return np.clip(np.round(values / unit), -_COUNTS - 1, _COUNTS) * unit
-
-
-def _columns(recorded: Recorded) -> Columns:
-    time_s = recorded.imu_time_s
-    width = max(1, round(0.05 / float(np.median(np.diff(time_s)))))
-    box = np.ones(width) / width
-    rate, force = (
-        np.stack([np.convolve(np.pad(c, width, "edge"), box, "same")[width:-width] for c in x.T], 1)
-        for x in (recorded.gyro_rad_s, recorded.accel_m_s2)
-    )
-    temperature = recorded.temperature_degc.at(time_s)
-    vibration = recorded.vibration_m_s2
-    level = Series(vibration.time_s, vibration.values.mean(axis=1)) if len(vibration) else vibration
-    attitude = recorded.attitude
-    q = np.stack([np.interp(time_s, attitude.time_s, c) for c in attitude.values.T], axis=1)
-    return Columns(
-        time_s=time_s,
-        since_power_on_s=time_s,
-        rate_rad_s=rate,
-        force_m_s2=force,
-        angular_acceleration_rad_s2=np.gradient(rate, time_s, axis=0),
-        temperature_degc=temperature,
-        temperature_slope_degc_s=np.gradient(temperature, time_s),
-        vibration_m_s2=level.at(time_s),
-        current_a=recorded.current_a.at(time_s),
-        throttle=recorded.throttle.at(time_s),
-        airspeed_m_s=recorded.airspeed_m_s.at(time_s),
-        ned_from_body=q / np.linalg.norm(q, axis=1, keepdims=True),
-    )
 
 
 def both_imus(path: Path) -> tuple[Floats, Floats, Floats, Floats, Floats]:
