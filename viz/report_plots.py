@@ -86,7 +86,12 @@ def unit_of(channel: str) -> tuple[str, float]:
 def residual_over_time(
     time_s: Floats, before: Floats, after: Floats, spans: Sequence[Span] = ()
 ) -> Figure:
-    """Draw the residuals [N, 6] over time [N] [s], averaged in bins; `spans` [s] are shaded."""
+    """Draw the residuals [N, 6] over time [N] [s], averaged in bins; `spans` [s] are shaded.
+
+    The constant bias that is left is taken off: a turn-on bias is no finding.
+    """
+    bias = np.nanmean(after, axis=0) if len(after) else np.zeros(len(CHANNELS))
+    before, after = before - bias, after - bias
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(10.0, 4.4), layout="constrained")
         grid = figure.subplots(2, _COLUMNS, sharex=True, squeeze=False).ravel()
