@@ -13,7 +13,8 @@ SCRIPT = Path(__file__).parents[1] / "benchmarks" / "hidden_timing.py"
 def test_a_table_13_ms_apart_is_named_and_mended(tmp_path):
     out = tmp_path / "hidden.json"
     words = ["--runs", "1", "--axis", "roll", "--late", "13", "--json", str(out)]
-    done = subprocess.run([sys.executable, SCRIPT, *words], capture_output=True, text=True)
+    command = [sys.executable, SCRIPT, *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     (found,) = json.loads(out.read_text())
     # 13 ms at 200 deg/s; the paper read 2.6 deg.
