@@ -27,7 +27,6 @@ from ahrs_service.app.diagnosis_terminal import summary
 from ahrs_service.app.loaded_recording import Loaded, load
 from ahrs_service.app.replay import progress_bar
 from ahrs_service.calibration.folding import fold
-from ahrs_service.diagnosis.against import against_covariates
 from ahrs_service.diagnosis.diagnose import diagnose
 from ahrs_service.diagnosis.known import without_effects
 from ahrs_service.diagnosis.recorded import Recorded, Series
@@ -109,12 +108,7 @@ def diagnose_file(path: Path, twin: Imu, errors: Console) -> Diagnosis:
             diagnosis = diagnose(columns, (), lambda share: advance("searching", share))
         except ValueError as error:
             raise RecordingError(f"{path}: {error}") from None
-        covariates = diagnosis.covariates
-        if not covariates and diagnosis.series is not None:
-            covariates = against_covariates(columns, diagnosis.series)
-    return dataclasses.replace(
-        diagnosis, covariates=covariates, notes=(*loaded.notes, *diagnosis.notes)
-    )
+    return dataclasses.replace(diagnosis, notes=(*loaded.notes, *diagnosis.notes))
 
 
 def with_velocity(loaded: Loaded) -> Recorded:

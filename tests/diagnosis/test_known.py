@@ -1,14 +1,10 @@
-"""Residual against covariates: planted dependences stand out, noise of any colour does not."""
-
-from dataclasses import replace
+"""What a twin knows is taken out of a recording as it was put in."""
 
 import numpy as np
 import pytest
 
-from ahrs_service.diagnosis.against import against_covariates
 from ahrs_service.diagnosis.known import with_effects, without_effects
 from ahrs_service.diagnosis.recorded import Recorded, Series
-from ahrs_service.diagnosis.result import ResidualSeries
 from ahrs_service.effects.catalogue import effect_of
 from ahrs_service.sensor.noise import gauss_markov
 
@@ -38,53 +34,6 @@ def recording(seed=1):
         Series(time_s, throttle),
         Series(),
     )
-
-
-def residual_of(recorded, seed, wander=2e-3):
-    rng = np.random.default_rng([seed, 7])
-    at = slice(None, None, 5)
-    time_s = recorded.imu_time_s[at]
-    noise = rng.normal(0.0, 5e-3, (len(time_s), 6))
-    noise += gauss_markov(rng, (len(time_s), 6), wander, 20.0, RATE_HZ / 5.0)
-    return ResidualSeries(time_s, noise, noise)
-
-
-def test_a_dependence_is_the_first_panel_and_its_fit_follows_it():
-    recorded = recording()
-    series = residual_of(recorded, 1)
-    throttle = recorded.throttle.at(series.time_s)
-    bent = np.zeros((len(series.time_s), 6))
-    bent[:, 5] = 0.02 * throttle
-    panels = against_covariates(recorded, replace(series, before=series.after + bent))
-    assert panels[0].channel == "accel_z"
-    assert panels[0].covariate in ("throttle", "vibration")
-    assert panels[0].p_value < 1e-6
-    step = np.ptp(panels[0].fitted)
-    assert step == pytest.approx(0.02, rel=1e-6)
-
-
-def test_wander_alone_raises_few_panels():
-    """At 1 % some panels of several hundred are expected; wander fools a white test in most."""
-    low = total = 0
-    for seed in range(6):
-        panels = against_covariates(recording(seed), residual_of(recording(seed), seed))
-        low += sum(panel.p_value < 0.01 for panel in panels)
-        total += len(panels)
-    assert total > 200
-    assert low / total < 0.05
-
-
-def test_what_is_not_recorded_has_no_panel():
-    panels = against_covariates(recording(), residual_of(recording(), 3))
-    shown = {panel.covariate for panel in panels}
-    assert {"throttle", "temperature", "rate x", "time since power-on"} <= shown
-    assert not shown & {"current", "airspeed", "roll"}
-
-
-def test_a_short_residual_has_no_panels():
-    series = residual_of(recording(), 1)
-    short = ResidualSeries(series.time_s[:100], series.before[:100], series.after[:100])
-    assert against_covariates(recording(), short) == ()
 
 
 @pytest.mark.parametrize(
