@@ -113,8 +113,10 @@ def hide(axis: str, seed: int, late_ms: int) -> Hidden:
     settings = config_file.load(profile=TABLE_PROFILE)
     estimates = estimate(slow, Airframe.OTHER, settings, flight.calibration)
     before, after = (largest_errors(slow, estimates, late_s)[0] for late_s in (0.0, found_s))
-    first = diagnosis.findings[0].effect if diagnosis.findings else "nothing"
-    return Hidden(axis, float(late_ms), seed, first, 1e3 * found_s, 1e3 * sigma_s, before, after)
+    first, *others = [finding.effect for finding in diagnosis.findings] or ["nothing"]
+    also = ", ".join(others) or "-"
+    found_ms, sigma_ms = 1e3 * found_s, 1e3 * sigma_s
+    return Hidden(axis, float(late_ms), seed, first, also, found_ms, sigma_ms, before, after)
 
 
 def main() -> None:
