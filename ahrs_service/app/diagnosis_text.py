@@ -32,7 +32,7 @@ def paragraph(finding: Finding) -> str:
         f"({_chance(finding.p_value)})."
     )
     others = [one for one in finding.alike if one != finding.effect]
-    if others:
+    if others and "cannot tell" not in finding.explanation:
         names = " or ".join(title(one) for one in others)
         parts.append(f"This recording cannot tell it from {names}.")
     if finding.separating_manoeuvre:

@@ -24,6 +24,7 @@ from real_data import broad_trial, part, planted
 from rich.console import Console
 from rich.table import Table
 
+from ahrs_service.app.diagnose import with_velocity
 from ahrs_service.app.loaded_recording import load
 from ahrs_service.diagnosis.diagnose import diagnose
 from ahrs_service.diagnosis.recorded import Recorded
@@ -96,10 +97,19 @@ def recordings(folder: Path, word: str) -> Iterator[tuple[str, Recorded]]:
     """Yield the recordings whose name holds `word`."""
     for name in FLIGHTS:
         if word in name:
-            yield name, load(folder / "flights" / name).columns
+            yield name, _loaded(folder / "flights" / name)
     for path in sorted((folder / "broad").glob("*.npz")):
         if path.stem[:2] in TRIALS and word in f"broad {path.stem}":
             yield f"broad {path.stem}", broad_trial(path)
+
+
+def _loaded(path: Path) -> Recorded:
+    """Return the columns; without any velocity diagnose refuses, and says so."""
+    loaded = load(path)
+    try:
+        return with_velocity(loaded)
+    except ValueError:
+        return loaded.columns
 
 
 def planted_answers(folder: Path, word: str) -> Iterator[Answer]:
