@@ -226,3 +226,14 @@ def bare(residual: Residual) -> Model:
 def choose(residual: Residual, noise: Noise, base: Floats, rows: Floats) -> None:
     """Settle between the forms of the noise that a residual knows."""
     residual.choose(lambda: fit(residual, noise, base, rows).log_likelihood)
+
+
+def gain_between(residual: Residual, shorter: Model, longer: Model) -> float:
+    """Return the gain in log-likelihood [nats] of a model over one that it contains.
+
+    Each noise was fitted by restricted likelihood, which is not where the likelihood itself is
+    highest: both models are given the better of both noises.
+    """
+    short = fit(residual, longer.noise, shorter.base, shorter.misfit).log_likelihood
+    long = fit(residual, shorter.noise, longer.base, longer.misfit).log_likelihood
+    return max(longer.log_likelihood, long) - max(shorter.log_likelihood, short)
