@@ -26,6 +26,7 @@ from ahrs_service.records import (
     empty,
 )
 from ahrs_service.sensor.parameters import Calibration, coefficients
+from ahrs_service.sensor.prior import narrow
 from ahrs_service.settings import Settings
 from ahrs_service.smoothing import Smoother
 
@@ -45,7 +46,8 @@ class Estimator:
 
     `digest` is the SHA-256 over the bytes of every estimate so far: equal digests of a live
     session and of its replay mean equal estimates, bit for bit. A `smoother` given listens and
-    can smooth all estimates in the end; it changes none of them before.
+    can smooth all estimates in the end; it changes none of them before. `calibration` is that in
+    use.
     """
 
     def __init__(
@@ -56,8 +58,8 @@ class Estimator:
     ) -> None:
         self._smoother = smoother
         self._batch = pipeline.batch if smoother is None else smoother.batch
-        self._calibration = calibration or Calibration.ideal()
-        self._coefficients = coefficients(self._calibration)
+        self.calibration = calibration or Calibration.ideal()
+        self._coefficients = coefficients(self.calibration)
         self._intake_state = intake.new_state()
         self._pipeline_state = pipeline.new_state()
         self.digest = hashlib.sha256()
@@ -66,13 +68,15 @@ class Estimator:
 
     def configure(self, settings: Settings) -> None:
         """Take new settings from the next sample on."""
-        self._intake_parameters = intake.parameters(settings.intake, settings.gate)
-        self._pipeline_parameters = pipeline.parameters(settings)
+        self._settings = settings
+        self._intake_parameters = intake.parameters(settings.intake)
+        self._pipeline_parameters = narrow(pipeline.parameters(settings), self.calibration)
 
     def calibrate(self, calibration: Calibration) -> None:
         """Take another calibration from the next sample on; what was found of the sensor goes."""
-        self._calibration = calibration
+        self.calibration = calibration
         self._coefficients = coefficients(calibration)
+        self.configure(self._settings)
         settings = self._pipeline_parameters[0]
         airframe = int(settings["airframe"])
         if airframe < 0:

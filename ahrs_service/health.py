@@ -25,6 +25,7 @@ _TOLD: Final = {
     Flag.IMU_CHANGED: "another IMU is in use",
     Flag.TEMPERATURE_STALE: "IMU temperature stale or frozen",
     Flag.TEMPERATURE_OUT_OF_RANGE: "IMU temperature outside the calibrated range",
+    Flag.UNCOMPENSATED: "not compensated: calibration of another IMU, or no temperature",
     Flag.LOW_RATE: "IMU below 20 Hz: turns between samples are lost",
 }
 

@@ -1,6 +1,6 @@
 """From readings to samples: adopts the vehicle, chooses the IMU, attaches temperature and aiding.
 
-Samples are in the vehicle's axes, turned by the trim as soon as it is heard. The same kernel takes
+Samples tell how the board stands in the vehicle as soon as its trim is heard. The same kernel takes
 one live reading or a whole recording, so both choose alike. It decides by the readings alone, never
 by a clock.
 """
@@ -11,9 +11,18 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.kernel import kernel
-from ahrs_service.records import Airframe, Flag, ImuSource, Integers, Kind, Record, Rows
-from ahrs_service.settings import GateSettings, IntakeSettings
-from ahrs_service.vehicle_axes import RANGE_FIELDS, TRIM_FIELDS, new_trim, take_trim, turn_sample
+from ahrs_service.records import (
+    IMU_OF_SOURCE,
+    Airframe,
+    Flag,
+    ImuSource,
+    Integers,
+    Kind,
+    Record,
+    Rows,
+)
+from ahrs_service.settings import IntakeSettings
+from ahrs_service.vehicle_axes import TRIM_FIELDS, new_trim, take_trim, write_axes
 
 _SOURCES: Final = 16
 _IMUS: Final = 4
@@ -53,7 +62,6 @@ PARAMETERS_DTYPE: Final = np.dtype(
         ("component", "i8"),
         ("source", "i8"),
         ("highres_temperature", "i8"),
-        *RANGE_FIELDS,
         ("airframe_of_type", "i8", 256),
     ]
 )
@@ -70,12 +78,6 @@ _HIGHRES = (
     int(ImuSource.HIGHRES_IMU_1),
     int(ImuSource.HIGHRES_IMU_2),
 )
-_IMU_OF_SOURCE = {
-    ImuSource.HIGHRES_IMU_1: 1,
-    ImuSource.HIGHRES_IMU_2: 2,
-    ImuSource.SCALED_IMU2: 1,
-    ImuSource.SCALED_IMU3: 2,
-}
 _TYPES_OF_AIRFRAME = {
     Airframe.FIXED_WING: (1, 7, 8, 16, 19, 20, 21, 22, 23, 24, 25, 28, 37),
     Airframe.MULTIROTOR: (2, 3, 4, 13, 14, 15, 29, 35, 43),
@@ -105,15 +107,10 @@ def new_state() -> Rows:
     return state
 
 
-def parameters(settings: IntakeSettings, gate: GateSettings | None = None) -> Rows:
-    """Return the kernel's parameters [1]; ValueError for an IMU source that does not exist.
-
-    `gate` tells the ranges of the sensors.
-    """
+def parameters(settings: IntakeSettings) -> Rows:
+    """Return the kernel's parameters [1]; ValueError for an IMU source that does not exist."""
     row = np.zeros(1, PARAMETERS_DTYPE)
-    gate = gate or GateSettings()
-    row["gyro_range_rad_s"], row["accel_range_m_s2"] = gate.gyro_range_rad_s, gate.accel_range_m_s2
-    for source, imu in _IMU_OF_SOURCE.items():
+    for source, imu in IMU_OF_SOURCE.items():
         row["imu_of_source"][0, source] = imu
     for airframe, types in _TYPES_OF_AIRFRAME.items():
         row["airframe_of_type"][0, list(types)] = airframe
@@ -296,7 +293,8 @@ def _write_sample(
         sample["mag_ut"][i] = reading["mag_ut"][i]
         sample["velocity_ned_m_s"][i] = state["velocity_ned_m_s"][i]
         state["velocity_ned_m_s"][i] = np.nan
-    sample["flags"] = flags | turn_sample(parameters, state, sample)
+    sample["flags"] = flags
+    write_axes(state, sample)
     sample["source"] = reading["source"]
     sample["airframe"] = parameters["airframe_of_type"][state["vehicle"]]
 

@@ -1,11 +1,11 @@
 """The estimator: one step from a sample to an estimate, and the batch that loops it.
 
-Each sample: compensation > strapdown > magnetic field. Each turn (`fusion.propagation`):
-covariance > gate > corrections by gravity, by rest or what bounds the velocity, by a measured
-velocity. No clock, no input or output: live service and replay call `batch`, for one sample or
-many, so that the same samples give the same bytes. Three structs: parameters (from settings),
-coefficients (from the calibration) and state, which can be saved and restored by its bytes at any
-sample.
+Each sample: compensation > vehicle's axes > strapdown > magnetic field. Each turn
+(`fusion.propagation`): covariance > gate > corrections by gravity, by rest or what bounds the
+velocity, by a measured velocity. No clock, no input or output: live service and replay call
+`batch`, for one sample or many, so that the same samples give the same bytes. Three structs:
+parameters (from settings), coefficients (from the calibration) and state, which can be saved and
+restored by its bytes at any sample.
 """
 
 import dataclasses
@@ -34,6 +34,7 @@ from ahrs_service.records import Airframe, Flag, Floats, Phase, Record, Rows
 from ahrs_service.sensor.compensation import compensate_sample
 from ahrs_service.sensor.thermometer import THERMOMETER_FIELDS, forget_temperature
 from ahrs_service.settings import Settings
+from ahrs_service.vehicle_axes import turn
 
 _ALIGNING = int(Phase.ALIGNING)
 _RUNNING = int(Phase.RUNNING)
@@ -42,6 +43,7 @@ _NOT_FINITE = int(Flag.NOT_FINITE)
 _ACCEL_MISSING = int(Flag.ACCEL_MISSING)
 _SPIKE = int(Flag.SPIKE)
 _SATURATED = int(Flag.SATURATED)
+_UNCOMPENSATED = int(Flag.UNCOMPENSATED | Flag.TEMPERATURE_OUT_OF_RANGE)
 _IMU_CHANGED = int(Flag.IMU_CHANGED)
 _REALIGNED = int(Flag.REALIGNED)
 _JUDGED_AT_ONCE = _SATURATED | _ACCEL_MISSING | _GAP
@@ -79,6 +81,7 @@ PARAMETERS_DTYPE: Final = np.dtype(
         ("gyro_bias_sigma_rad_s", "f8"),
         ("gyro_rest_sigma_rad_s", "f8"),
         ("gyro_bias_per_rtdegc_rad_s", "f8"),
+        ("compensated_bias_per_rtdegc_rad_s", "f8"),
         ("gyro_scale_error_rts", "f8"),
         ("alignment_s", "f8"),
         ("gap_s", "f8"),
@@ -153,6 +156,7 @@ def parameters(settings: Settings) -> Rows:
         airframe = getattr(settings, number.name.lower())
         for field in dataclasses.fields(airframe):
             row[field.name][0, number] = getattr(airframe, field.name)
+    row["compensated_bias_per_rtdegc_rad_s"] = fusion.gyro_bias_per_rtdegc_rad_s
     row["declination_rad"] = math.radians(fusion.declination_deg)
     row["samples_are_means"] = fusion.gyro_sample == "mean"
     row["use_magnetometer"] = fusion.magnetometer
@@ -200,7 +204,8 @@ def _turn(
     """Propagate the covariance, then correct by all that is known of the vehicle's motion."""
     if nodes is not None:
         tape.leave(state, nodes[0])
-    propagation.grow(settings, state, sample["temperature_degc"])
+    is_compensated = flags & _UNCOMPENSATED == 0
+    propagation.grow(settings, state, sample["temperature_degc"], is_compensated)
     dt_s = state["turn_s"]
     work = np.zeros((2, ERROR_STATES))
     correction, h = work[0], work[1]
@@ -313,6 +318,8 @@ def take(
     """Take one sample; where there are `nodes` [2], the last and the next, note the turn there."""
     gyro, accel = state["gyro_rad_s"], state["accel_m_s2"]
     flags = compensate_sample(coefficients, state, sample)
+    turn(sample["vehicle_from_board"], gyro)
+    turn(sample["vehicle_from_board"], accel)
     found = _check_sensors(settings, state, sample, gyro, accel)
     flags |= found
     if not found & (_NOT_FINITE | _SPIKE):

@@ -54,6 +54,15 @@ class ImuSource(IntEnum):
     HIGHRES_IMU_2 = 9
 
 
+IMU_OF_SOURCE: Final = {
+    ImuSource.HIGHRES_IMU_1: 1,
+    ImuSource.HIGHRES_IMU_2: 2,
+    ImuSource.SCALED_IMU2: 1,
+    ImuSource.SCALED_IMU3: 2,
+}
+"""Which IMU of the autopilot a source is, counted from 0; those not named are 0."""
+
+
 class Airframe(IntEnum):
     """The class of vehicle: how it can move. By HEARTBEAT.type; HAND_HELD only by settings."""
 
@@ -104,6 +113,7 @@ class Flag(IntFlag):
     REALIGNED = 2048
     ACCEL_MISSING = 4096
     IMU_CHANGED = 8192
+    UNCOMPENSATED = 16384
 
 
 READING_DTYPE: Final = np.dtype(
@@ -145,6 +155,7 @@ SAMPLE_DTYPE: Final = np.dtype(
         ("mag_ut", "f8", 3),
         ("airspeed_m_s", "f8"),
         ("velocity_ned_m_s", "f8", 3),
+        ("vehicle_from_board", "f8", (3, 3)),
         ("flags", "u4"),
         ("source", "u4"),
         ("airframe", "u4"),
@@ -154,7 +165,9 @@ SAMPLE_DTYPE: Final = np.dtype(
 """One IMU sample of the chosen source, with what else came since the sample before (else NaN).
 
 `time_ns` sensor clock, `gyro_rad_s` [3] angular rate [rad/s], `accel_m_s2` [3] specific force
-[m/s^2] (level at rest: z = -9.81), `temperature_degc` of the IMU itself [degC], last known.
+[m/s^2] (level at rest: z = -9.81), both as the sensor gave them, in the board's axes;
+`vehicle_from_board` [3, 3] turns these into the vehicle's, NaN where they are the same;
+`temperature_degc` of the IMU itself [degC], last known; `mag_ut` [3] in the vehicle's axes.
 """
 
 ESTIMATE_DTYPE: Final = np.dtype(

@@ -14,6 +14,7 @@ from ahrs_service.fusion import smoother, tape
 from ahrs_service.kernel import kernel
 from ahrs_service.records import ESTIMATE_DTYPE, Rows, empty
 from ahrs_service.sensor.parameters import Calibration, coefficients
+from ahrs_service.sensor.prior import narrow
 from ahrs_service.settings import Settings
 
 _MIN_NODES: Final = 1024
@@ -94,7 +95,7 @@ def smooth(settings: Settings, calibration: Calibration, samples: Rows) -> tuple
     """Return the estimates of `samples` [N], causal and smoothed, each [N] ESTIMATE_DTYPE."""
     both = Smoother()
     causal = empty(ESTIMATE_DTYPE, len(samples))
-    parameters, state = pipeline.parameters(settings), pipeline.new_state()
+    parameters, state = narrow(pipeline.parameters(settings), calibration), pipeline.new_state()
     both.batch(parameters, coefficients(calibration), state, samples, causal)
     smoothed = causal.copy()
     both.smooth(smoothed)

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.kernel import kernel
-from ahrs_service.records import Flag, Floats, Record, Rows
+from ahrs_service.records import Floats, Record, Rows
 from ahrs_service.rotation import from_euler, matrix
 
 TRIM_FIELDS: Final = [
@@ -16,10 +16,6 @@ TRIM_FIELDS: Final = [
     ("trim_component", "i8"),
 ]
 """Fields of the intake's state that this module keeps."""
-RANGE_FIELDS: Final = [("gyro_range_rad_s", "f8"), ("accel_range_m_s2", "f8")]
-"""Parameters of the intake that this module reads."""
-
-_SATURATED = int(Flag.SATURATED)
 
 
 def new_trim(state: Rows) -> None:
@@ -47,29 +43,28 @@ def take_trim(state: Record, reading: Record) -> None:
 
 
 @kernel
-def turn_sample(parameters: Record, state: Record, sample: Record) -> int:
-    """Turn the vectors of a sample into the vehicle's axes; return the flag of a clipped axis.
+def write_axes(state: Record, sample: Record) -> None:
+    """Tell how the board stands, NaN where its axes are the vehicle's; turn the magnetic field.
 
-    Clipping is seen here, for after the turn no axis stands at the end of its range.
+    Rate and force stay in the board's axes, in which the sensor's calibration holds.
     """
-    if state["trim_rad"][0] == 0.0 and state["trim_rad"][1] == 0.0:
-        return 0
-    if state["trim_system"] != state["system"] or state["trim_component"] != state["component"]:
-        return 0
-    gyro, accel, dcm = sample["gyro_rad_s"], sample["accel_m_s2"], state["vehicle_from_board"]
-    flags = 0
+    dcm, out = state["vehicle_from_board"], sample["vehicle_from_board"]
+    is_known = (
+        state["trim_system"] == state["system"] and state["trim_component"] == state["component"]
+    )
+    has_trim = state["trim_rad"][0] != 0.0 or state["trim_rad"][1] != 0.0
     for i in range(3):
-        gyro_clipped = abs(gyro[i]) >= parameters["gyro_range_rad_s"]
-        if gyro_clipped or abs(accel[i]) >= parameters["accel_range_m_s2"]:
-            flags = _SATURATED
-    _turn(dcm, gyro)
-    _turn(dcm, accel)
-    _turn(dcm, sample["mag_ut"])
-    return flags
+        for j in range(3):
+            out[i, j] = dcm[i, j] if is_known and has_trim else math.nan
+    turn(out, sample["mag_ut"])
 
 
 @kernel
-def _turn(dcm: Floats, v: Floats) -> None:
+def turn(vehicle_from_board: Floats, v: Floats) -> None:
+    """Turn `v` [3] into the vehicle's axes, in place; NaN for the matrix leaves it."""
+    dcm = vehicle_from_board
+    if math.isnan(dcm[0, 0]):
+        return
     x, y, z = v[0], v[1], v[2]
     for i in range(3):
         v[i] = dcm[i, 0] * x + dcm[i, 1] * y + dcm[i, 2] * z

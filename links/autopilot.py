@@ -12,7 +12,9 @@ from typing import Any, Final
 
 from ahrs_service.records import Rows
 from links.autopilot_messages import BOOT_US, FlightMessages
+from links.autopilot_parameters import AutopilotParameters, ardupilot_ins
 from links.mavlink_codec import Encoder, Signer, dialect
+from links.param_files import ParamValue
 
 DEFAULT_RATES_HZ: Final[Mapping[str, float]] = {
     "HEARTBEAT": 1.0,
@@ -83,15 +85,17 @@ class SimulatedAutopilot:
         self._interval_us: dict[str, int] = {}
         self._default_us = {name: self._checked(name, hz) for name, hz in rates_hz.items()}
         self._queue: list[tuple[int, int, int, str]] = []
-        self._parameters: dict[str, float] = {
-            "SYSID_THISMAV": float(self.system),
-            "SCHED_LOOP_RATE": rate_hz,
-            "INS_ACCEL_FILTER": 20.0,
-            "INS_GYRO_FILTER": 20.0,
-            "INS_TCAL1_ENABLE": 0.0,
-            "AHRS_TRIM_X": 0.0,
-            "AHRS_TRIM_Y": 0.0,
-        }
+        self.parameters = AutopilotParameters(
+            {
+                "SYSID_THISMAV": ParamValue(float(self.system)),
+                "SCHED_LOOP_RATE": ParamValue(rate_hz),
+                "INS_ACCEL_FILTER": ParamValue(20.0),
+                "INS_GYRO_FILTER": ParamValue(20.0),
+                "AHRS_TRIM_X": ParamValue(0.0),
+                "AHRS_TRIM_Y": ParamValue(0.0),
+                **ardupilot_ins(),
+            }
+        )
         for name, interval_us in self._default_us.items():
             self._set_interval(name, interval_us, 0)
 
@@ -165,7 +169,7 @@ class SimulatedAutopilot:
             if name == "COMMAND_LONG":
                 return self._command(message, now_s)
             if name.startswith("PARAM_"):
-                return self._parameter(name, message)
+                return [self._pack(answer) for answer in self.parameters.on_message(message)]
         return []
 
     def _command(self, command: Any, now_s: float) -> list[bytes]:
@@ -216,28 +220,3 @@ class SimulatedAutopilot:
         self.counts.commands[
             f"{what.removeprefix('MAV_CMD_')} {how.removeprefix('MAV_RESULT_')}"
         ] += 1
-
-    def _parameter(self, name: str, message: Any) -> list[bytes]:
-        known = list(self._parameters)
-        if name == "PARAM_REQUEST_LIST":
-            return [self._parameter_value(parameter) for parameter in known]
-        asked = getattr(message, "param_id", "")
-        if name == "PARAM_REQUEST_READ" and 0 <= message.param_index < len(known):
-            asked = known[message.param_index]
-        if asked not in self._parameters:
-            return []
-        if name == "PARAM_SET" and math.isfinite(message.param_value):
-            self._parameters[asked] = message.param_value
-        return [self._parameter_value(asked)]
-
-    def _parameter_value(self, name: str) -> bytes:
-        known = list(self._parameters)
-        return self._pack(
-            dialect.MAVLink_param_value_message(
-                name.encode(),
-                self._parameters[name],
-                dialect.MAV_PARAM_TYPE_REAL32,
-                len(known),
-                known.index(name),
-            )
-        )

@@ -58,7 +58,8 @@ class Component:
         self._texts = StatusTexts()
         self._trim = TrimRequest()
         self._unit = UnitRequest()
-        self._wants_unit = settings.sensor.calibration != ""
+        # A recording that tells its unit makes a calibration that does.
+        self._wants_unit = bool(settings.sensor.calibration or settings.recorder.directory)
         self._autopilot = _INVALID
         self._state = "boot"
         self._next_heartbeat_s = float("-inf")

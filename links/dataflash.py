@@ -1,5 +1,6 @@
 """ArduPilot DataFlash (.bin) recordings."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
@@ -13,6 +14,7 @@ from links.dataflash_tables import DataFlashFile, read_tables
 from links.errors import RecordingError
 from links.gps_velocity import LEAST_FIX, velocity_columns
 from links.recording import AttitudeReference, Recording
+from links.unit_request import unit_name
 from links.vehicle_trim import trim_notes, trim_of_parameter
 
 Floats = npt.NDArray[np.float64]
@@ -30,6 +32,9 @@ _TIMES: Final = {"TimeUS": 1000, "TimeMS": 1_000_000, "T": 1_000_000}
 _CLOCKS: Final = ("TimeUS", "TimeMS")
 _GPS_CLOCKS: Final = ("TimeUS", "T")
 """In the GPS records of old logs TimeMS is the satellites' time and T the autopilot's."""
+_BOARD: Final = re.compile(rb"\b([0-9A-F]{8}) ([0-9A-F]{8}) ([0-9A-F]{8})\b")
+"""The number of the board in three words, as one of the first messages of a log gives it."""
+_FIRST_TEXTS: Final = 10
 _VEHICLES: Final = ((b"Plane", 1), (b"Copter", 2), (b"Rover", 10), (b"Sub", 12))
 """MAV_TYPE by the firmware's name, as the first messages of a log give it."""
 _VELOCITIES: Final = ("XKF1", "NKF1", "EKF1")
@@ -67,19 +72,36 @@ def read_dataflash(path: str | Path, progress: Callable[[float], None] | None = 
         message_counts=log.counts(),
         damaged=log.damaged,
         notes=(*_notes(log, imu), *trim_notes(readings), *doubts),
+        unit=_unit(log),
     )
 
 
 def _vehicle(log: DataFlashFile) -> int:
     """Return the MAV_TYPE of the firmware that wrote the log, 0 (generic) where it is not told."""
-    if "MSG" not in log.counts():
-        return 0
-    texts = log.table("MSG")["Message"][:10].tolist()
-    for text in texts:
+    for text in _first_texts(log):
         for name, vehicle in _VEHICLES:
             if name in text:
                 return vehicle
     return 0
+
+
+def _first_texts(log: DataFlashFile) -> list[bytes]:
+    if "MSG" not in log.counts():
+        return []
+    texts: list[bytes] = log.table("MSG")["Message"][:_FIRST_TEXTS].tolist()
+    return texts
+
+
+def _unit(log: DataFlashFile) -> str:
+    """Return the number of the board, as in "CUAVv5 0025001E 31385115 35333837"; "" if not told.
+
+    The words are written with their last byte first; AUTOPILOT_VERSION.uid2 has the bytes in order.
+    """
+    for text in _first_texts(log):
+        if found := _BOARD.search(text):
+            words = (bytes.fromhex(word.decode())[::-1] for word in found.groups())
+            return unit_name(0, b"".join(words))
+    return ""
 
 
 class _Table:

@@ -17,5 +17,13 @@ class RecordingError(LinkError):
     """A recording that cannot be read, or holds no IMU."""
 
 
+class ParamFileError(LinkError):
+    """A file of parameters that cannot be read or written."""
+
+
+class ParamError(LinkError):
+    """A conversation about an autopilot's parameters that failed."""
+
+
 class SigningError(LinkError):
     """A signing key that cannot be used."""

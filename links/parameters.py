@@ -11,6 +11,7 @@ import numpy as np
 
 from ahrs_service.settings import Settings
 from links.mavlink_codec import dialect
+from links.parameter_values import param_name
 
 _REAL32: Final = int(dialect.MAV_PARAM_TYPE_REAL32)
 _PER_TICK: Final = 5
@@ -76,7 +77,7 @@ class ParameterServer:
         elif kind == "PARAM_REQUEST_READ":
             self._read(message)
         elif kind == "PARAM_SET":
-            return self._set(_text(message.param_id), float(message.param_value))
+            return self._set(param_name(message.param_id), float(message.param_value))
         return ""
 
     def _read(self, message: Any) -> None:
@@ -85,7 +86,7 @@ class ParameterServer:
         if 0 <= index < len(_NAMES):
             self._to_send[_NAMES[index]] = None
         elif index == -1:
-            self._answer(_text(message.param_id))
+            self._answer(param_name(message.param_id))
 
     def _set(self, name: str, value: float) -> str:
         """Change a value or refuse it; either way the answer is the value in force."""
@@ -117,11 +118,6 @@ class ParameterServer:
         return dialect.MAVLink_param_value_message(
             name.encode(), read(self.settings, name), _REAL32, len(_NAMES), _NAMES.index(name)
         )
-
-
-def _text(param_id: Any) -> str:
-    raw = param_id.encode("latin-1", "replace") if isinstance(param_id, str) else bytes(param_id)
-    return raw.split(b"\0")[0].decode("ascii", "replace")
 
 
 def _shortest(value: float) -> float:

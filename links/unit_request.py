@@ -19,6 +19,13 @@ def unit_name(uid: int, uid2: bytes) -> str:
     return f"{uid:016x}" if uid else ""
 
 
+def unit_request(system: int, component: int) -> Any:
+    """Return the request for the number of an autopilot's board."""
+    return dialect.MAVLink_command_long_message(
+        system, component, dialect.MAV_CMD_REQUEST_MESSAGE, 0, _VERSION, 0, 0, 0, 0, 0, 0
+    )
+
+
 class UnitRequest:
     """Asks for AUTOPILOT_VERSION until it comes: eight times, each time waiting twice as long.
 
@@ -48,8 +55,4 @@ class UnitRequest:
             return []
         self._next_s = now_s + ANSWER_S * 2.0**self._attempts
         self._attempts += 1
-        return [
-            dialect.MAVLink_command_long_message(
-                system, component, dialect.MAV_CMD_REQUEST_MESSAGE, 0, _VERSION, 0, 0, 0, 0, 0, 0
-            )
-        ]
+        return [unit_request(system, component)]

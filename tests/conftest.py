@@ -20,8 +20,9 @@ from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, Rows, empty
 from ahrs_service.rotation import inverse_columns, quaternion_columns, rotate_columns
 from ahrs_service.settings import Settings
+from links.autopilot_parameters import AutopilotParameters
 from links.link import Link, LinkState
-from links.mavlink_codec import Decoder, dialect
+from links.mavlink_codec import Decoder, Encoder, dialect
 from links.registry import open_link
 from links.stream import FdStream
 from links.tlog import TlogFile, read_tlog
@@ -208,6 +209,56 @@ class Vehicle:
             await self.link.close()
 
 
+class FarAutopilot:
+    """An autopilot at the far end of a link: it beats and answers for its parameters.
+
+    `lose_request(message)` and `lose_answer(message)` say what is lost on the way; `die_after` so
+    many PARAM_SET nothing arrives any more, in either direction.
+    """
+
+    def __init__(self, parameters: AutopilotParameters, autopilot: int, vehicle: Vehicle) -> None:
+        self.parameters, self.vehicle = parameters, vehicle
+        self.heard: list[Any] = []
+        self.is_dead, self.die_after = False, 10**9
+        self.lose_request: Callable[[Any], bool] = lambda message: False
+        self.lose_answer: Callable[[Any], bool] = lambda message: False
+        self.encoder = Encoder(1, 1)
+        self.uid = 0x0123456789ABCDEF
+        self._autopilot = autopilot
+        vehicle.answer = self.answer
+
+    def answer(self, message: Any) -> list[bytes]:
+        """Take a message; return the frames that come back."""
+        if message.get_type() == "COMMAND_LONG":
+            none = bytes(8)
+            version = dialect.MAVLink_autopilot_version_message(
+                0, 0, 0, 0, 0, none, none, none, 0, 0, self.uid
+            )
+            return [self.encoder.pack(version)]
+        if not message.get_type().startswith("PARAM_"):
+            return []
+        self.is_dead = self.is_dead or self.count("PARAM_SET") >= self.die_after
+        if self.is_dead:
+            return []
+        self.heard.append(message)
+        if self.lose_request(message):
+            return []
+        answers = self.parameters.on_message(message)
+        return [self.encoder.pack(answer) for answer in answers if not self.lose_answer(answer)]
+
+    def count(self, kind: str) -> int:
+        """Return how many messages of a kind have arrived."""
+        return sum(message.get_type() == kind for message in self.heard)
+
+    async def beat(self) -> None:
+        """Send heartbeats until cancelled."""
+        while True:
+            if not self.is_dead:
+                message = dialect.MAVLink_heartbeat_message(2, self._autopilot, 0, 0, 4, 3)
+                self.vehicle.send(self.encoder.pack(message))
+            await asyncio.sleep(0.02)
+
+
 async def _fly(served: Served, vehicle: Vehicle, frames: Sequence[bytes]) -> None:
     """Send frames in bursts, each when the daemon has taken the one before."""
     taken = served.frames
@@ -239,7 +290,12 @@ def live(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> SimpleNamespace:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     return SimpleNamespace(
-        Served=Served, Vehicle=Vehicle, session=_session, fly=_fly, frames_of=_frames_of
+        Served=Served,
+        Vehicle=Vehicle,
+        FarAutopilot=FarAutopilot,
+        session=_session,
+        fly=_fly,
+        frames_of=_frames_of,
     )
 
 

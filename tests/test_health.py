@@ -17,6 +17,7 @@ TOLD = {
     Flag.IMU_CHANGED: "another IMU",
     Flag.TEMPERATURE_STALE: "temperature stale",
     Flag.TEMPERATURE_OUT_OF_RANGE: "outside the calibrated range",
+    Flag.UNCOMPENSATED: "not compensated",
     Flag.LOW_RATE: "below 20 Hz",
 }
 NOT_TOLD = {Flag.DUPLICATE, Flag.REORDERED}

@@ -41,24 +41,29 @@ def write_rrd(
     drops: Mapping[str, Series] | None = None,
     messages: Iterable[Message] = (),
     gate: GateSettings | None = None,
+    readings: Rows | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> None:
     """Write ESTIMATE rows and what goes with them to `path`, whole and with a footer.
 
     The first of `references` is drawn as "theirs"; `temperatures` [degC], `rates` [Hz] and
     `drops` (counts) are (time_ns [N], values [N]) by name; `messages` are (time_ns, level, text);
-    `gate` are the limits to which the gate's values are compared; `progress` is called with the
-    share done, 0 to 1. All times on the clock of the estimates. Every row is in every series;
+    `gate` are the limits to which the gate's values are compared; `readings` [N], where given, are
+    those that the estimates came of, shown raw beside them; `progress` is called with the share
+    done, 0 to 1. All times on the clock of the estimates. Every row is in every series;
     only the 3D scene is thinned, to 25 Hz (see Columns).
     """
     path = Path(path)
     path.open("wb").close()
+    layout = blueprint(live=False, shows_sensor=readings is not None)
     recording = rr.RecordingStream(entities.APPLICATION, recording_id=path.stem)
-    recording.set_sinks(rr.FileSink(path), default_blueprint=blueprint(live=False))
+    recording.set_sinks(rr.FileSink(path), default_blueprint=layout)
     send_scene(recording)
     columns = Columns(recording, gate or GateSettings())
     for start in range(0, len(estimates), _CHUNK):
-        columns.estimates(estimates[start : start + _CHUNK])
+        part = slice(start, start + _CHUNK)
+        raw = None if readings is None else _raw(readings[part])
+        columns.estimates(estimates[part], raw)
         if progress is not None:
             progress(min(1.0, (start + _CHUNK) / len(estimates)))
     for index, reference in enumerate(references):
@@ -77,3 +82,7 @@ def write_rrd(
     columns.messages(stamps, [line[1] for line in lines], [line[2] for line in lines])
     recording.flush()
     recording.disconnect()
+
+
+def _raw(readings: Rows) -> npt.NDArray[np.float64]:
+    return np.concatenate([readings["gyro_rad_s"], readings["accel_m_s2"]], axis=1)

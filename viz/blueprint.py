@@ -9,12 +9,18 @@ from viz import entities
 LIVE_WINDOW_S = 60.0
 
 
-def blueprint(live: bool) -> rrb.Blueprint:
-    """Return the layout; live it follows the stream and shows the last minute."""
+def blueprint(live: bool, shows_sensor: bool = False) -> rrb.Blueprint:
+    """Return the layout; live it follows the stream and shows the last minute.
+
+    With `shows_sensor` a second tab has the sensor's raw output beside the compensated.
+    """
     window = _last(LIVE_WINDOW_S) if live else None
+    plots: rrb.Grid | rrb.Tabs = _plots(window)
+    if shows_sensor:
+        plots = rrb.Tabs(plots, _sensor(window))
     return rrb.Blueprint(
         rrb.Vertical(
-            rrb.Horizontal(_scene(), _plots(window), column_shares=[0.8, 1.0]),
+            rrb.Horizontal(_scene(), plots, column_shares=[0.8, 1.0]),
             _states(window),
             _bottom(window),
             row_shares=[0.625, 0.18, 0.195],
@@ -98,6 +104,20 @@ def _plots(window: rrb.VisibleTimeRange | None) -> rrb.Grid:
             _plot(entities.SIGMA, "1 sigma north, east, down [deg]", window),
         ),
         grid_columns=2,
+        name="Estimate",
+    )
+
+
+def _sensor(window: rrb.VisibleTimeRange | None) -> rrb.Grid:
+    return rrb.Grid(
+        _plot(entities.RAW_RATE, "Rate, raw [deg/s]", window),
+        _plot(entities.USED_RATE, "Rate, compensated [deg/s]", window),
+        _plot(entities.RAW_FORCE, "Force, raw [m/s²]", window),
+        _plot(entities.USED_FORCE, "Force, compensated [m/s²]", window),
+        _plot(entities.RATE_CORRECTION, "Raw less compensated, x y z [deg/s]", window),
+        _plot(entities.FORCE_CORRECTION, "Raw less compensated, x y z [m/s²]", window),
+        grid_columns=2,
+        name="Sensor",
     )
 
 

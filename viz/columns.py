@@ -54,11 +54,16 @@ class Columns:
         self._styled: set[str] = set()
         self._time_of: Nanoseconds | None = None
 
-    def estimates(self, rows: Rows) -> None:
-        """Send ESTIMATE rows [N] in their order."""
+    def estimates(self, rows: Rows, raw: Floats | None = None) -> None:
+        """Send ESTIMATE rows [N] in their order, and beside them what the sensor gave.
+
+        `raw` [N, 6] rate [rad/s] and specific force [m/s^2], NaN where it is not to be shown.
+        """
         if len(rows) == 0:
             return
         t = self.clock.estimates(rows)
+        if raw is not None:
+            self._sensor(rows, t, raw)
         euler = np.degrees(euler_columns(rows["ned_from_body"]))
         bias = np.degrees(rows["gyro_bias_rad_s"])
         sigma = np.degrees(rows["gyro_bias_sigma_rad_s"])
@@ -75,6 +80,31 @@ class Columns:
         self._states(rows, t)
         self._scene(rows, t, euler[:, 2])
         self._last_ns = int(t[-1])
+
+    def _sensor(self, rows: Rows, t: Nanoseconds, raw: Floats) -> None:
+        """Send raw output, what is used of it, and the difference, which compensation took away."""
+        shown = np.flatnonzero(~np.isnan(raw).all(axis=1))
+        if len(shown) < len(rows):
+            rows, t, raw = rows[shown], t[shown], raw[shown]
+        for measured, used, entity_raw, entity_used, entity_correction in (
+            (
+                np.degrees(raw[:, :3]),
+                np.degrees(rows["rate_rad_s"]),
+                entities.RAW_RATE,
+                entities.USED_RATE,
+                entities.RATE_CORRECTION,
+            ),
+            (
+                raw[:, 3:],
+                rows["accel_m_s2"],
+                entities.RAW_FORCE,
+                entities.USED_FORCE,
+                entities.FORCE_CORRECTION,
+            ),
+        ):
+            self._scalars(entity_raw, t, measured)
+            self._scalars(entity_used, t, used)
+            self._scalars(entity_correction, t, measured - used)
 
     def reference(
         self, name: str, t: Nanoseconds, ned_from_body: Floats, drawn: bool = True

@@ -26,7 +26,10 @@ if TYPE_CHECKING:
 
 HOST: Final = "127.0.0.1"
 _DRAIN_S: Final = 10.0
-_ROW_BYTES: Final = ESTIMATE_DTYPE.itemsize
+_SHOWN_DTYPE: Final = np.dtype([("estimate", ESTIMATE_DTYPE), ("raw", "f8", 6)])
+
+
+_NOT_SHOWN: Final = np.full(6, np.nan).tobytes()
 
 
 class ViewerError(Exception):
@@ -39,7 +42,8 @@ class LiveViewer:
     `port` 0 hosts nothing, an empty `rrd` writes no file. `memory_mb` bounds what a viewer that
     comes late is told, `queue` the rows that wait for the thread, `period_s` is how often it
     sends. `dropped` counts rows and values that found the queue full; `error` is the last thing
-    that went wrong in the thread, or empty; `gate` are the limits as they are now.
+    that went wrong in the thread, or empty; `gate` are the limits as they are now. `shows_sensor`
+    makes room for raw beside compensated values.
     """
 
     def __init__(
@@ -49,6 +53,7 @@ class LiveViewer:
         memory_mb: float = 200.0,
         period_s: float = 0.1,
         gate: GateSettings | None = None,
+        shows_sensor: bool = False,
         queue: int = 8192,
     ) -> None:
         self.port = port
@@ -57,6 +62,7 @@ class LiveViewer:
         self.dropped = 0
         self.error = ""
         self.ready = threading.Event()
+        self._shows_sensor = shows_sensor
         self._memory_mb = memory_mb
         self._period_s = period_s
         self._rows: deque[bytes] = deque(maxlen=queue)
@@ -86,13 +92,16 @@ class LiveViewer:
                 ) from error
         self._thread.start()
 
-    def estimate(self, row: Rows) -> None:
-        """Take a copy of ESTIMATE rows, mostly one; never blocks."""
-        data = row.tobytes()
-        for start in range(0, len(data), _ROW_BYTES):
-            if len(self._rows) == self._rows.maxlen:
-                self.dropped += 1
-            self._rows.append(data[start : start + _ROW_BYTES])
+    def estimate(self, rows: Rows, readings: Rows | None = None) -> None:
+        """Take a copy of ESTIMATE rows, mostly one; never blocks.
+
+        `readings` [N] are those that the estimates came of, to show beside them.
+        """
+        for n in range(len(rows)):
+            raw = _NOT_SHOWN
+            if readings is not None:
+                raw = readings["gyro_rad_s"][n].tobytes() + readings["accel_m_s2"][n].tobytes()
+            self._append(self._rows, rows[n].tobytes() + raw)
 
     def reference(self, time_ns: int, ned_from_body: npt.ArrayLike) -> None:
         """Take the autopilot's own attitude, w, x, y, z, on the clock of the samples."""
@@ -164,13 +173,15 @@ class LiveViewer:
         if self.rrd:
             sinks.append(rr.FileSink(self.rrd, write_footer=False))
         recording = rr.RecordingStream(entities.APPLICATION)
-        recording.set_sinks(*sinks, default_blueprint=blueprint(live=True))
+        recording.set_sinks(*sinks, default_blueprint=blueprint(True, self._shows_sensor))
         send_scene(recording)
         return recording, Columns(recording, self.gate)
 
     def _send(self, columns: "Columns") -> None:
         columns.gate = self.gate
-        columns.estimates(np.frombuffer(b"".join(_taken(self._rows)), ESTIMATE_DTYPE))
+        shown = np.frombuffer(b"".join(_taken(self._rows)), _SHOWN_DTYPE)
+        # Each column in one piece, as the viewer's own arrays must be.
+        columns.estimates(np.ascontiguousarray(shown["estimate"]), shown["raw"].copy())
         clock = columns.clock
         if references := _taken(self._references):
             t = clock.live(np.array([time_ns for time_ns, _ in references], np.int64))

@@ -124,6 +124,15 @@ def _series(recording: rr.RecordingStream) -> None:
     _style(recording, entities.SIGMA, ["north", "east", "down"], [X, Y, Z])
     _style(recording, entities.RESIDUAL, ["x", "y", "z"], [X, Y, Z])
     _style(recording, entities.INNOVATION, ["x", "y", "z"], [X, Y, Z])
+    for raw in (entities.RAW_RATE, entities.RAW_FORCE):
+        _style(recording, raw, ["x raw", "y raw", "z raw"], [X_FAINT, Y_FAINT, Z_FAINT])
+    for used in (
+        entities.USED_RATE,
+        entities.USED_FORCE,
+        entities.RATE_CORRECTION,
+        entities.FORCE_CORRECTION,
+    ):
+        _style(recording, used, ["x", "y", "z"], [X, Y, Z])
     bias = rr.SeriesLines(
         names=["x", "y", "z", *(f"{axis} {sign} sigma" for sign in "-+" for axis in "xyz")],
         colors=_rgba(X, Y, Z, *[X_FAINT, Y_FAINT, Z_FAINT] * 2),

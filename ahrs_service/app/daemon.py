@@ -53,8 +53,9 @@ class Daemon:
     """The service on one link; `run` serves until `stop`.
 
     To make one raises ConfigError for a calibration that cannot or must not be used.
-    `on_estimate` is given every estimate [1], a view that the next one overwrites. `session`,
-    `health`, `latest`, `component`, `calibration`, `decoder` and `link` can be looked at meanwhile;
+    `on_reading` is given every reading [1] and `on_estimate` every estimate [1], views that the
+    next one overwrites. `session`, `health`, `latest`, `component`, `calibration`, `decoder` and
+    `link` can be looked at meanwhile;
     `forged_marks` counts frames that were kept out of the recording (links.session_marks).
     """
 
@@ -63,6 +64,7 @@ class Daemon:
         settings: Settings,
         log: Log,
         on_estimate: Callable[[Rows], None] | None = None,
+        on_reading: Callable[[Rows], None] | None = None,
     ) -> None:
         self.settings = settings
         self.session = Session()
@@ -82,6 +84,7 @@ class Daemon:
         self._encoder: Encoder | None = None
         self._log = log
         self._on_estimate = on_estimate
+        self._on_reading = on_reading
         self.ready = asyncio.Event()
         self._stop = asyncio.Event()
         self._started_s = time.monotonic()
@@ -162,12 +165,14 @@ class Daemon:
         elif self.recorder is not None:
             self.recorder.write(received_us, frame)
         if readings.from_message(message, received_us * 1000, self._rows):
+            if self._on_reading is not None:
+                self._on_reading(self._rows)
             estimates = self.estimator.take(self._rows)
             if len(estimates):
                 self._use(estimates, started_s)
         now_s = time.monotonic()
         for reply in self.component.on_message(message, now_s):
-            self._send(reply)
+            self.send(reply)
         if self.component.is_vehicle(message):
             self.link.confirm(peer)
             if self.observer is not None:
@@ -184,7 +189,7 @@ class Daemon:
         if int(estimate["phase"]) == Phase.RUNNING:
             sent = 0
             for message in self.component.publish(estimate):
-                sent += self._send(message)
+                sent += self.send(message)
             if sent:
                 self.session.latency.add(time.perf_counter() - started_s)
                 self.session.published += sent
@@ -195,11 +200,11 @@ class Daemon:
         self.health.sample(estimate, time.monotonic())
         self.latest = estimate
         if self.observer is not None:
-            self.observer.estimate(estimates)
+            self.observer.estimate(estimates, self._rows if self.calibration else None)
         if self._on_estimate is not None:
             self._on_estimate(estimates)
 
-    def _send(self, message: Any) -> bool:
+    def send(self, message: Any) -> bool:
         """Pack and send one message; the system is known from the adoption on."""
         if self._encoder is None:
             self._encoder = Encoder(
@@ -286,7 +291,7 @@ class Daemon:
     def _tick(self, now_s: float) -> None:
         """Do what is due by time and not by a message."""
         for message in self.component.tick(now_s, _MAV_STATE[self.health.state]):
-            self._send(message)
+            self.send(message)
         for level, text in self.component.drain_events():
             self._say(level, text)
         change = self.health.update(self.component.system != 0, now_s)

@@ -30,6 +30,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ahrs_service.app import config_file, options
+from ahrs_service.app.calibration_choice import CalibrationShelf
 from ahrs_service.app.daemon import Daemon
 from ahrs_service.app.replay_log import ReplayResult, replay_log
 from ahrs_service.app.report import error_table
@@ -69,8 +70,10 @@ def run(arguments: argparse.Namespace) -> int:
             f"--scenario {arguments.scenario}: choose one of {', '.join(SCENARIOS)}"
         )
     settings = options.settings_of(arguments)
-    files = _files(arguments.out)
     sensor = options.sensor_of(arguments, settings.sensor)
+    # What is wrong with it is told before a folder is made.
+    CalibrationShelf(sensor)
+    files = _files(arguments.out)
     settings = _with_places(dataclasses.replace(settings, sensor=sensor), files)
     console.print("[dim]compiling kernels (some seconds on the first start)[/]")
     try:

@@ -1,8 +1,10 @@
 """Attitude of plain arrays: sensor samples in an .npz in, quaternions in an .npz out.
 
 IN holds imu_gyr [N, 3] rad/s, imu_acc [N, 3] m/s^2 (specific force), and sampling_rate [Hz] or
-t [N] s, or both (then t holds). It may hold imu_mag [N, 3] uT, airspeed [N] m/s and vel_ned [N, 3]
-m/s, NaN where there is none. Other fields are not looked at.
+t [N] s, or both (then t holds). It may hold imu_mag [N, 3] uT, airspeed [N] m/s, vel_ned [N, 3]
+m/s and imu_degc [N], the sensor's temperature in degC, NaN where there is none. Other fields are
+not looked at. With --calibration the raw output of the sensor is compensated first, in axes
+forward, right, down.
 
 OUT holds one row per sample: quat [N, 4] wxyz without the magnetometer, its heading 0 at the
 start; quat9 [N, 4] with it, where there is imu_mag; sigma_deg [N, 3] 1-sigma of quat's error
@@ -29,7 +31,8 @@ from rich.console import Console
 from rich.markup import escape
 
 from ahrs_service import pipeline
-from ahrs_service.app import options
+from ahrs_service.app import config_file, options
+from ahrs_service.app.calibration_choice import CalibrationShelf
 from ahrs_service.records import (
     ESTIMATE_DTYPE,
     SAMPLE_DTYPE,
@@ -41,6 +44,7 @@ from ahrs_service.records import (
 )
 from ahrs_service.rotation import multiply_columns
 from ahrs_service.sensor.parameters import Calibration, coefficients
+from ahrs_service.sensor.prior import narrow
 from ahrs_service.settings import Settings
 from ahrs_service.smoothing import Smoother
 from links.errors import RecordingError
@@ -55,6 +59,7 @@ _UNITS: Final = {
     "imu_mag": "uT",
     "airspeed": "m/s",
     "vel_ned": "m/s",
+    "imu_degc": "degC",
     "t": "s",
     "sampling_rate": "Hz",
 }
@@ -67,7 +72,7 @@ _NOT_AN_NPZ: Final = (
     zipfile.BadZipFile,
     zlib.error,
 )
-_SCALARS: Final = ("airspeed", "t")
+_SCALARS: Final = ("airspeed", "imu_degc", "t")
 _FLIPPED: Final = np.array([1.0, -1.0, -1.0])
 _FRD_FROM_FLU: Final = np.array([0.0, 1.0, 0.0, 0.0])
 _ENU_FROM_NED: Final = np.array([0.0, math.sqrt(0.5), math.sqrt(0.5), 0.0])
@@ -83,6 +88,7 @@ class Columns:
     mag_ut: Any = None
     airspeed_m_s: Any = None
     velocity_ned_m_s: Any = None
+    temperature_degc: Any = None
 
     def samples(self, start: int, stop: int, frame: str, magnetometer: bool) -> Rows:
         """Rows [stop - start] SAMPLE_DTYPE in forward-right-down axes."""
@@ -99,37 +105,43 @@ class Columns:
             rows["airspeed_m_s"] = self.airspeed_m_s[part]
         if self.velocity_ned_m_s is not None:
             rows["velocity_ned_m_s"] = self.velocity_ned_m_s[part]
+        if self.temperature_degc is not None:
+            rows["temperature_degc"] = self.temperature_degc[part]
         return rows
 
 
 def estimate_columns(
-    columns: Columns, settings: Settings, frame: str, offline: bool = False
+    columns: Columns,
+    settings: Settings,
+    frame: str,
+    offline: bool = False,
+    calibration: Calibration | None = None,
 ) -> dict[str, Any]:
     """Run the estimator over `columns` [N], smoothed where `offline`; return the fields of OUT."""
     run = _run_smoothed if offline else _run
+    known = calibration or Calibration.ideal()
     count = len(columns.time_ns)
     out: dict[str, Any] = {
         "quat": np.empty((count, 4)),
         "sigma_deg": np.empty((count, 3)),
         "gate": np.empty(count, np.uint32),
     }
-    for part, rows in run(columns, settings, frame, magnetometer=False):
+    for part, rows in run(columns, settings, known, frame, magnetometer=False):
         out["quat"][part] = _turned(rows["ned_from_body"], frame, earth=_FRD_FROM_FLU)
         out["sigma_deg"][part] = np.degrees(rows["attitude_sigma_rad"])
         out["gate"][part] = rows["gate"]
     if columns.mag_ut is not None and settings.fusion.magnetometer:
         out["quat9"] = np.empty((count, 4))
-        for part, rows in run(columns, settings, frame, magnetometer=True):
+        for part, rows in run(columns, settings, known, frame, magnetometer=True):
             out["quat9"][part] = _turned(rows["ned_from_body"], frame, earth=_ENU_FROM_NED)
     return out
 
 
 def _run(
-    columns: Columns, settings: Settings, frame: str, magnetometer: bool
+    columns: Columns, settings: Settings, known: Calibration, frame: str, magnetometer: bool
 ) -> Iterator[tuple[slice, Rows]]:
     """Run once over all samples; yield estimates piece by piece, in rows used again."""
-    parameters = pipeline.parameters(settings)
-    ideal = coefficients(Calibration.ideal())
+    parameters, row = narrow(pipeline.parameters(settings), known), coefficients(known)
     state = pipeline.new_state()
     estimates = empty(ESTIMATE_DTYPE, _CHUNK)
     count = len(columns.time_ns)
@@ -137,22 +149,22 @@ def _run(
         stop = min(start + _CHUNK, count)
         samples = columns.samples(start, stop, frame, magnetometer)
         rows = estimates[: stop - start]
-        pipeline.batch(parameters, ideal, state, samples, rows)
+        pipeline.batch(parameters, row, state, samples, rows)
         yield slice(start, stop), rows
 
 
 def _run_smoothed(
-    columns: Columns, settings: Settings, frame: str, magnetometer: bool
+    columns: Columns, settings: Settings, known: Calibration, frame: str, magnetometer: bool
 ) -> Iterator[tuple[slice, Rows]]:
     """Run once over all samples and back; yield all estimates in one piece."""
     count, smoother = len(columns.time_ns), Smoother()
     estimates = empty(ESTIMATE_DTYPE, count)
-    parameters, state = pipeline.parameters(settings), pipeline.new_state()
-    ideal = coefficients(Calibration.ideal())
+    parameters, row = narrow(pipeline.parameters(settings), known), coefficients(known)
+    state = pipeline.new_state()
     for start in range(0, count, _CHUNK):
         stop = min(start + _CHUNK, count)
         samples = columns.samples(start, stop, frame, magnetometer)
-        smoother.batch(parameters, ideal, state, samples, estimates[start:stop])
+        smoother.batch(parameters, row, state, samples, estimates[start:stop])
     smoother.smooth(estimates)
     yield slice(0, count), estimates
 
@@ -189,6 +201,7 @@ def read_columns(path: Path) -> Columns:
         vectors.get("imu_mag"),
         vectors.get("airspeed"),
         vectors.get("vel_ned"),
+        vectors.get("imu_degc"),
     )
 
 
@@ -265,6 +278,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--offline", action="store_true", help="smooth: not causal, for reference-grade attitude"
     )
     options.add_settings(parser)
+    options.add_calibration(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -272,10 +286,17 @@ def run(args: argparse.Namespace) -> int:
     settings = options.settings_of(args)
     if args.out.exists() and args.source.exists() and args.out.samefile(args.source):
         raise RecordingError(f"{args.out}: is the input itself; give --out another file")
+    shelf = CalibrationShelf(options.sensor_of(args, settings.sensor))
+    choice, console = shelf.choose(""), Console(stderr=True)
+    if choice is None and shelf.is_folder:
+        raise config_file.ConfigError(shelf.refusal(""))
     columns = read_columns(args.source)
-    out = estimate_columns(columns, settings, args.frame, args.offline)
+    known = None if choice is None else choice.calibration
+    out = estimate_columns(columns, settings, args.frame, args.offline, known)
     _write(args.out, out)
-    Console(stderr=True).print(
+    if choice is not None:
+        console.print(escape(choice.text()), highlight=False, soft_wrap=True)
+    console.print(
         f"{escape(str(args.out))}: {', '.join(out)} of {len(columns.time_ns)} samples",
         highlight=False,
         soft_wrap=True,

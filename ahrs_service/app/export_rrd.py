@@ -37,6 +37,7 @@ def write_recording(path: Path, result: ReplayResult) -> None:
         {name: (np.array([start_ns]), np.array([count])) for name, count in lost.items()},
         messages,
         gate=in_force(result.settings),
+        readings=result.recording.readings[result.positions] if result.is_calibrated else None,
     )
 
 

@@ -31,7 +31,12 @@ class Observer:
     def __init__(self, settings: Settings) -> None:
         viewer = settings.viewer
         self._viewer = LiveViewer(
-            viewer.port, viewer.rrd, viewer.memory_mb, viewer.period_s, in_force(settings)
+            viewer.port,
+            viewer.rrd,
+            viewer.memory_mb,
+            viewer.period_s,
+            in_force(settings),
+            shows_sensor=bool(settings.sensor.calibration),
         )
         try:
             self._viewer.start()
@@ -55,9 +60,9 @@ class Observer:
         """Rows that the viewer was too slow for."""
         return self._viewer.dropped
 
-    def estimate(self, estimates: Rows) -> None:
-        """Show our estimate [1]."""
-        self._viewer.estimate(estimates)
+    def estimate(self, estimates: Rows, readings: Rows | None = None) -> None:
+        """Show our estimate [1], beside it the reading [1] that it came of."""
+        self._viewer.estimate(estimates, readings)
 
     def message(self, message: Any) -> None:
         """Show what a message of the vehicle tells beside the IMU samples."""

@@ -34,7 +34,7 @@ class ReplayResult:
 
     `estimates` [N] ESTIMATE_DTYPE, `positions` [N] the reading behind each; `system` the vehicle
     adopted; `settings` those in force at the end. Where smoothing was asked for, `estimates` are
-    the smoothed.
+    the smoothed. `is_calibrated` whether a calibration was in use at the end.
     """
 
     recording: Recording
@@ -43,6 +43,7 @@ class ReplayResult:
     system: int
     settings: Settings
     summary: Summary
+    is_calibrated: bool
 
 
 def replay_log(
@@ -94,7 +95,8 @@ def replay_log(
     system = int(replay.estimator.intake_state["system"][0])
     if smoothed is not None:
         estimates = smoothed
-    return ReplayResult(recording, estimates, positions, system, replay.settings, summary)
+    known = replay.estimator.calibration != Calibration.ideal()
+    return ReplayResult(recording, estimates, positions, system, replay.settings, summary, known)
 
 
 def _silent(stage: str, share: float) -> None:

@@ -186,8 +186,12 @@ def _follow_arc(state: Record, accel: Floats, dt_s: float, arc: Floats) -> None:
 
 
 @kernel
-def grow(settings: Record, state: Record, degc: float) -> None:
-    """Propagate the covariance over the turn, `degc` the sensor's temperature, NaN if unknown."""
+def grow(settings: Record, state: Record, degc: float, is_compensated: bool) -> None:
+    """Propagate the covariance over the turn.
+
+    `degc` is the sensor's temperature, NaN if unknown; `is_compensated` whether its drift is taken
+    away by a calibration, where there is one.
+    """
     p, states, turn_s = state["covariance"], state["states"], state["turn_s"]
     rate = state["turn_gyro_rad"]
     state["turned_rad"] = 0.0
@@ -198,7 +202,10 @@ def grow(settings: Record, state: Record, degc: float) -> None:
     mekf.propagate(p, states, state["turn_rotation_s"], rate, state["turn_impulse_m_s"])
     angle = settings["gyro_noise_rad_s_rthz"] ** 2 * turn_s + state["turn_angle_variance"]
     bias = settings["gyro_bias_walk_rad_s2_rthz"] ** 2 * turn_s
-    bias += settings["gyro_bias_per_rtdegc_rad_s"] ** 2 * _warmed(state, degc)
+    per_rtdegc = settings["gyro_bias_per_rtdegc_rad_s"]
+    if is_compensated:
+        per_rtdegc = settings["compensated_bias_per_rtdegc_rad_s"]
+    bias += per_rtdegc**2 * _warmed(state, degc)
     for i in range(3):
         p[i, i] += angle
         p[GYRO_BIAS + i, GYRO_BIAS + i] += bias

@@ -11,6 +11,7 @@ from ahrs_service.sensor.thermometer import acting_columns, forget_temperature, 
 
 _OUT_OF_RANGE: Final = int(Flag.TEMPERATURE_OUT_OF_RANGE)
 _IMU_CHANGED: Final = int(Flag.IMU_CHANGED)
+_UNCOMPENSATED: Final = int(Flag.UNCOMPENSATED)
 A: Final = 0
 B: Final = 3
 C: Final = 6
@@ -118,9 +119,13 @@ def invert(
 ) -> tuple[float, float, float]:
     """A = (K + dK)^-1 (N - E_T(N) - B - G f) of one triad for N = `raw` [3], f = (fx, fy, fz)."""
     segment, rest = find_segment(triad, temperature_degc)
-    p = without_drift(triad, segment, rest, 0, raw[0]) - g_effect(triad, 0, fx, fy, fz)
-    q = without_drift(triad, segment, rest, 1, raw[1]) - g_effect(triad, 1, fx, fy, fz)
-    r = without_drift(triad, segment, rest, 2, raw[2]) - g_effect(triad, 2, fx, fy, fz)
+    p = without_drift(triad, segment, rest, 0, raw[0])
+    q = without_drift(triad, segment, rest, 1, raw[1])
+    r = without_drift(triad, segment, rest, 2, raw[2])
+    if triad["feels_force"] != 0:
+        p -= g_effect(triad, 0, fx, fy, fz)
+        q -= g_effect(triad, 1, fx, fy, fz)
+        r -= g_effect(triad, 2, fx, fy, fz)
     return solve(triad, segment, rest, p, q, r)
 
 
@@ -157,13 +162,24 @@ def compensate(
 
 @kernel
 def compensate_sample(coefficients: Rows, state: Record, sample: Record) -> int:
-    """Write `gyro_rad_s` and `accel_m_s2` of the state from a sample; return the sample's flags."""
-    if sample["flags"] & _IMU_CHANGED != 0:
+    """Write `gyro_rad_s` and `accel_m_s2` of the state from a sample; return the sample's flags.
+
+    What comes of an IMU that the calibration is not of is taken as it is, and flagged; so is what
+    lacks the temperature on which its drift depends.
+    """
+    row, flags = coefficients[0], sample["flags"]
+    if row["holds_for_source"][sample["source"]] == 0:
+        for i in range(3):
+            state["gyro_rad_s"][i] = sample["gyro_rad_s"][i]
+            state["accel_m_s2"][i] = sample["accel_m_s2"][i]
+        return flags | _UNCOMPENSATED
+    if flags & _IMU_CHANGED != 0:
         forget_temperature(state)
-    gyro_degc, accel_degc = read_thermometer(
-        coefficients[0], state, sample["time_ns"], sample["temperature_degc"]
-    )
-    return sample["flags"] | compensate(
+    reported_degc = sample["temperature_degc"]
+    if math.isnan(reported_degc) and row["gyro"]["segments"] + row["accel"]["segments"] > 0:
+        flags |= _UNCOMPENSATED
+    gyro_degc, accel_degc = read_thermometer(row, state, sample["time_ns"], reported_degc)
+    return flags | compensate(
         coefficients,
         sample["gyro_rad_s"],
         sample["accel_m_s2"],

@@ -31,7 +31,7 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from ahrs_service.records import Floats, Rows
+from ahrs_service.records import IMU_OF_SOURCE, Floats, ImuSource, Rows
 from ahrs_service.sensor.curve import POWERS, Curve
 from ahrs_service.sensor.provenance import Provenance, Uncertainty, Verdict
 
@@ -60,11 +60,16 @@ _TRIAD: Final = [
     ("drift", "f8", (SEGMENTS, 18, POWERS)),
     ("segments", "i8"),
     ("matrix_drifts", "i8"),
+    ("feels_force", "i8"),
     ("thermal_lag_s", "f8"),
 ]
-COEFFICIENTS_DTYPE: Final[np.dtype[Any]] = np.dtype([("gyro", _TRIAD), ("accel", _TRIAD)])
+_SOURCES: Final = 16
+COEFFICIENTS_DTYPE: Final[np.dtype[Any]] = np.dtype(
+    [("gyro", _TRIAD), ("accel", _TRIAD), ("holds_for_source", "u1", _SOURCES)]
+)
 """What the kernels of compensation and forward read: per triad K, K^-1, B, G, the borders of the
-segments, `drift` [segment, column, power of T - border], and whether dK is there at all."""
+segments, `drift` [segment, column, power of T - border], whether dK and G are there at all; and for
+which ImuSource it all holds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +166,8 @@ class Calibration:
     """Calibration of one sensor: what its `serial` number is, and where the figures come from.
 
     `uid` is how the autopilot that holds it names itself: AUTOPILOT_VERSION.uid2 or uid as
-    lower-case hex digits. `source` is free text. `room_degc` is where all drift is zero [degC].
+    lower-case hex digits; `imu` which of its IMUs it is, from 0 on, None for whichever is in use.
+    `source` is free text. `room_degc` is where all drift is zero [degC].
     """
 
     __pydantic_config__: ClassVar = _STRICT
@@ -169,17 +175,20 @@ class Calibration:
     accel: TriadCalibration = field(default_factory=TriadCalibration)
     serial: str = ""
     uid: str = ""
+    imu: int | None = None
     source: str = ""
     room_degc: float = 25.0
     provenance: Provenance = field(default_factory=Provenance)
     verdict: Verdict = field(default_factory=Verdict)
 
     def __post_init__(self) -> None:
-        """Raise ValueError for a g-sensitivity of the accelerometer."""
+        """Raise ValueError for a g-sensitivity of the accelerometer, or an IMU that cannot be."""
         if self.accel.g_sensitivity != NIL:
             raise ValueError(
                 "accel.g_sensitivity: only gyros have one; the accelerometer's matrix is its own"
             )
+        if self.imu not in (None, 0, 1, 2):
+            raise ValueError(f"imu = {self.imu}: give 0, 1 or 2, or leave it out for any")
 
     @classmethod
     def ideal(cls) -> "Calibration":
@@ -197,6 +206,7 @@ def coefficients(calibration: Calibration) -> Rows:
         row["bias"] = triad.bias
         row["g_sensitivity"] = triad.g_sensitivity
         row["thermal_lag_s"] = triad.thermal_lag_s
+        row["feels_force"] = triad.g_sensitivity != NIL
         row["matrix_drifts"] = bool(triad.matrix_drift.pieces)
         breaks = triad.breaks_degc()
         row["segments"] = max(len(breaks) - 1, 0)
@@ -204,6 +214,9 @@ def coefficients(calibration: Calibration) -> Rows:
         for curve, place in ((triad.a, "a"), (triad.b, "b"), (triad.c, "c")):
             _lay(row, breaks, curve, place)
         _lay(row, breaks, triad.matrix_drift, "matrix")
+    for source in ImuSource:
+        is_its_own = calibration.imu in (None, IMU_OF_SOURCE.get(source, 0))
+        rows["holds_for_source"][0, source] = is_its_own
     return rows
 
 

@@ -2,8 +2,9 @@
 
 A lag tau > 0 is a sensing element that warms later than the thermometer: a first-order low pass. A
 lag tau < 0 is a thermometer that stands apart and warms later: the low pass is undone by a lead,
-(1 + tau s) / (1 + tau s / LEAD_GAIN), which enlarges the thermometer's noise and steps no more than
-LEAD_GAIN times and leaves a lag of tau / LEAD_GAIN.
+(1 + LEAD_GAIN p s) / (1 + p s) with p = tau / (LEAD_GAIN - 1), which enlarges the thermometer's
+noise and steps no more than LEAD_GAIN times. On a ramp, as masses warm, it leaves no lag at all;
+after a step, as they never do, it goes too far by a ninth.
 """
 
 import math
@@ -15,7 +16,7 @@ from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats, Record, Rows
 
 LEAD_GAIN: Final = 4.0
-"""Steps of 0.1 degC stay below half a degree, and three quarters of the lag are gone."""
+"""Steps of 0.1 degC stay below half a degree."""
 
 THERMOMETER_FIELDS: Final = [("filtered_degc", "f8", 2), ("thermometer_time_ns", "i8")]
 """Fields of the pipeline's state that this module keeps, gyros before accelerometers."""
@@ -26,7 +27,7 @@ def _act(lag_s: float, memory: Floats, place: int, reported_degc: float, dt_s: f
     """Move the filter of one triad on by `dt_s`; return the temperature that acts."""
     if lag_s == 0.0:
         return reported_degc
-    pole_s = lag_s if lag_s > 0.0 else -lag_s / LEAD_GAIN
+    pole_s = lag_s if lag_s > 0.0 else -lag_s / (LEAD_GAIN - 1.0)
     if math.isnan(memory[place]):
         memory[place] = reported_degc
     memory[place] -= math.expm1(-dt_s / pole_s) * (reported_degc - memory[place])
@@ -44,14 +45,16 @@ def read_thermometer(
     NaN where none is known. After a gap, or a time without, the temperature that comes then is
     taken for that of the whole time; a stamp before the last moves nothing.
     """
-    if math.isnan(reported_degc):
+    gyro_lag_s = coefficients["gyro"]["thermal_lag_s"]
+    accel_lag_s = coefficients["accel"]["thermal_lag_s"]
+    if (gyro_lag_s == 0.0 and accel_lag_s == 0.0) or math.isnan(reported_degc):
         return reported_degc, reported_degc
     dt_s = max((time_ns - state["thermometer_time_ns"]) * 1e-9, 0.0)
     state["thermometer_time_ns"] = time_ns
     memory = state["filtered_degc"]
     return (
-        _act(coefficients["gyro"]["thermal_lag_s"], memory, 0, reported_degc, dt_s),
-        _act(coefficients["accel"]["thermal_lag_s"], memory, 1, reported_degc, dt_s),
+        _act(gyro_lag_s, memory, 0, reported_degc, dt_s),
+        _act(accel_lag_s, memory, 1, reported_degc, dt_s),
     )
 
 

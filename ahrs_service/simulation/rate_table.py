@@ -24,6 +24,7 @@ from ahrs_service.rotation import (
 )
 from ahrs_service.sensor.parameters import Vector
 from ahrs_service.simulation.phases import Phase
+from ahrs_service.simulation.spline import smooth_step
 from ahrs_service.simulation.trajectory import TRUTH_DTYPE
 
 RAMP_SWINGS: Final = 2.0
@@ -78,7 +79,7 @@ class Swing:
         amplitude = math.radians(self.amplitude_deg)
         turn = math.radians(self.peak_rate_deg_s) / amplitude
         ramp_s = min(RAMP_SWINGS * 2.0 * math.pi / turn, 0.5 * seconds)
-        size, slope, bend = _smooth_step(np.minimum(time_s, seconds - time_s) / ramp_s)
+        size, slope, bend = smooth_step(np.minimum(time_s, seconds - time_s) / ramp_s)
         slope = slope * np.where(time_s < 0.5 * seconds, 1.0, -1.0) / ramp_s
         bend = bend / ramp_s**2
         sine, cosine = np.sin(turn * time_s), np.cos(turn * time_s)
@@ -95,14 +96,4 @@ def table_phases(seconds: float) -> tuple[Phase, ...]:
     return tuple(
         Phase(name, length, speed_m_s=0.0, throttle=0.0, is_airborne=False)
         for name, length in names.items()
-    )
-
-
-def _smooth_step(x: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return 0 below 0, 1 above 1 and 10 x^3 - 15 x^4 + 6 x^5 between, with two derivatives."""
-    x = np.clip(x, 0.0, 1.0)
-    return (
-        x**3 * (10.0 - 15.0 * x + 6.0 * x**2),
-        30.0 * x**2 * (1.0 - x) ** 2,
-        60.0 * x * (1.0 - x) * (1.0 - 2.0 * x),
     )

@@ -21,6 +21,7 @@ from ahrs_service.simulation.phases import (
     rest_phases,
     seed_flight_phases,
 )
+from ahrs_service.simulation.pose_sequence import PoseSequence, many_poses, six_positions
 from ahrs_service.simulation.rate_table import Swing, table_phases
 from ahrs_service.simulation.trajectory import TRUTH_DTYPE, Bumps, fly
 
@@ -52,9 +53,10 @@ _VIBRATION_S: Final = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """What is flown, by which sensor, in which weather; with a `swing`, on a rate table.
+    """What is flown, by which sensor, in which weather; with a `bench`, what is done there.
 
-    Without a `warmth` the box warms up with a quarter of the flight as its time constant.
+    The unit warms up by `heating_k` [K] with a quarter of the flight as its time constant, or as
+    `warmth` says.
     """
 
     text: str
@@ -62,7 +64,8 @@ class Scenario:
     imu: Imu
     turbulence: float = 1.0
     wind_m_s: float = 4.0
-    swing: Swing | None = None
+    bench: Swing | PoseSequence | None = None
+    heating_k: float = 15.0
     warmth: environment.Warmth | None = None
 
 
@@ -81,7 +84,13 @@ class Flight:
 def _table(text: str, swing: Swing) -> Scenario:
     """Return a scenario on the rate table: the small autopilot's IMU, no engine."""
     imu = replace(consumer_grade(), propeller=None)
-    return Scenario(text, table_phases, imu, swing=swing)
+    return Scenario(text, table_phases, imu, bench=swing)
+
+
+def _bench(text: str, poses: PoseSequence) -> Scenario:
+    """Return a scenario on a table: the small autopilot's IMU, warm, no engine."""
+    imu = replace(consumer_grade(), propeller=None)
+    return Scenario(text, poses.phases, imu, bench=poses, heating_k=0.0)
 
 
 SCENARIOS: Final = {
@@ -106,6 +115,11 @@ SCENARIOS: Final = {
     "rate-table-pitch": _table("the same in pitch", Swing((0.0, 1.0, 0.0))),
     "rate-table-heading": _table("the same in heading", Swing((0.0, 0.0, 1.0))),
     "rate-table-oblique": _table("the same about all axes at once", Swing((1.0, 1.0, 1.0))),
+    "six-position": _bench(
+        "the unit on each of its six faces, with full circles on three; of 100 s or longer",
+        six_positions(),
+    ),
+    "multi-pose": _bench("twenty poses by hand; of 120 s or longer", many_poses()),
     "seed-flight": Scenario(
         "the manoeuvres and the sensor errors of Liu et al., two thirds of it level",
         seed_flight_phases,
@@ -150,13 +164,15 @@ def fly_scenario(
     dice = [np.random.default_rng([seed, part]) for part in range(4)]
     time_s = np.arange(math.floor(seconds * rate_hz) + 1) / rate_hz
     bearing, heading = dice[1].uniform(-np.pi, np.pi, 2)
-    if scenario.swing is not None:
-        truth = scenario.swing.truth(phases, float(heading), time_s)
+    if scenario.bench is not None:
+        truth = scenario.bench.truth(phases, float(heading), time_s)
     else:
         curves = command_curves(phases, scenario.turbulence, dice[0])
         wind = scenario.wind_m_s * np.array([math.cos(bearing), math.sin(bearing), 0.0])
         truth = fly(curves, Bumps.draw(dice[1]), wind, float(heading), time_s)
-    warmth = scenario.warmth or environment.Warmth(time_constant_s=0.25 * seconds)
+    warmth = scenario.warmth or environment.Warmth(
+        heating_k=scenario.heating_k, time_constant_s=0.25 * seconds
+    )
     rows = _sense(truth, imu, warmth, rate_hz, dice[2])
     rows["estimate_ned_from_body"] = _estimate(truth, rate_hz, dice[3])
     return Flight(name, seed, rate_hz, phases, imu.calibration, rows)

@@ -56,3 +56,13 @@ class UniformSpline:
             value += _PIECES[_DEGREE - k](u)[:, None] * points
             slope += _SLOPES[_DEGREE - k](u)[:, None] * points
         return value, slope / self._step_s
+
+
+def smooth_step(x: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return 0 below 0, 1 above 1 and 10 x^3 - 15 x^4 + 6 x^5 between, with two derivatives."""
+    x = np.clip(x, 0.0, 1.0)
+    return (
+        x**3 * (10.0 - 15.0 * x + 6.0 * x**2),
+        30.0 * x**2 * (1.0 - x) ** 2,
+        60.0 * x * (1.0 - x) * (1.0 - 2.0 * x),
+    )

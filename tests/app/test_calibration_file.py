@@ -105,7 +105,7 @@ calibrations = st.builds(
 )
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(calibrations)
 def test_a_round_trip_is_exact(calibration):
     text = calibration_file.to_toml(calibration)

@@ -13,11 +13,14 @@ from ahrs_service.app.calibration_choice import CalibrationShelf
 from ahrs_service.app.cli import main
 from ahrs_service.app.config_file import ConfigError
 from ahrs_service.app.daemon import Daemon
+from ahrs_service.app.export_rrd import write_recording
 from ahrs_service.app.replay_log import replay_log
+from ahrs_service.rotation import euler_columns
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration
-from ahrs_service.sensor.provenance import Provenance, Verdict
+from ahrs_service.sensor.provenance import Provenance, Uncertainty, Verdict
 from ahrs_service.settings import RecorderSettings, SensorSettings, Settings
 from ahrs_service.simulation.imu import consumer_grade
+from ahrs_service.simulation.scenario import make_flight
 from links.errors import RecordingError
 from links.mavlink_codec import Encoder, dialect
 
@@ -110,6 +113,104 @@ def test_from_the_moment_on_the_attitude_goes_on_and_what_was_learnt_of_the_sens
     )
     before, after = rows["ned_from_body"][change], rows["ned_from_body"][change + 1]
     assert abs(before @ after) > np.cos(np.radians(0.5))
+
+
+def test_settings_and_calibration_that_both_change_in_flight(live, flight_frames, tmp_path):
+    """The prior that the calibration tells holds under both settings."""
+    known = lagging()
+    doubt = Uncertainty(bias_residual=(1e-4,) * 3, bias_turn_on=(1e-3,) * 3)
+    known = replace(known, uid=UNIT.hex(), gyro=replace(known.gyro, uncertainty=doubt))
+    folder = folder_of(tmp_path, ours=known)
+    message = dialect.MAVLink_param_set_message(1, 191, b"AHRS_GATE_NORM", 0.1, 9)
+    change = Encoder(255, 190).pack(message)
+    part = len(flight_frames) // 4
+    frames = [*flight_frames[:part], change, *flight_frames[part : 2 * part], version()]
+    frames += [*flight_frames[2 * part : 3 * part], change, *flight_frames[3 * part :]]
+    served = serve(live, tmp_path, SensorSettings(calibration=str(folder)), frames)
+    assert served.daemon.settings.gate.norm_m_s2 == pytest.approx(0.1)
+    (result,) = replayed(tmp_path)
+    assert result.summary.digest == served.digest
+
+
+def test_a_change_of_calibration_is_smoothed_over_on_either_side(live, flight_frames, tmp_path):
+    folder = folder_of(tmp_path, ours=replace(consumer_grade().calibration, uid=UNIT.hex()))
+    frames = [*flight_frames[:2000], version(), *flight_frames[2000:]]
+    served = serve(live, tmp_path, SensorSettings(calibration=str(folder)), frames)
+    (path,) = (tmp_path / "flights").iterdir()
+    causal, smoothed = replay_log(path), replay_log(path, smooth=True)
+    assert causal.summary.digest == smoothed.summary.digest == served.digest
+    angle = np.abs(
+        np.sum(causal.estimates["ned_from_body"] * smoothed.estimates["ned_from_body"], 1)
+    )
+    assert angle.min() > np.cos(np.radians(5.0))
+    assert np.isfinite(smoothed.estimates["attitude_sigma_rad"]).all()
+    sigmas = [one.estimates["attitude_sigma_rad"][:, :2].mean() for one in (smoothed, causal)]
+    assert sigmas[0] < sigmas[1]
+
+
+def test_the_replay_command_takes_file_folder_or_none(
+    simulated_tlog, tmp_path, capsys, monkeypatch
+):
+    # In a narrow terminal the table breaks the path where its length wants it.
+    monkeypatch.setenv("COLUMNS", "250")
+    said = []
+    for options in (["--calibration", str(SHIPPED / "sim-1.toml")], ["--calibration", "none"]):
+        assert main(["replay", str(simulated_tlog), *options]) == 0
+        said.append(capsys.readouterr().out)
+    assert "serial SIM-1" in said[0]
+    assert "none, as asked" in said[1]
+    unit = ["--set", "sensor.unit=sim-1"]
+    assert main(["replay", str(simulated_tlog), "--calibration", str(SHIPPED), *unit]) == 0
+    digests = [text.split("estimates sha256 ")[1].split()[0] for text in said]
+    assert digests[0] in capsys.readouterr().out
+    assert digests[0] != digests[1]
+    assert main(["replay", str(simulated_tlog), "--calibration", str(SHIPPED)]) == 1
+    assert "name the unit by sensor.unit" in capsys.readouterr().err
+    assert main(["replay", str(simulated_tlog), "--calibration", str(tmp_path / "no.toml")]) == 2
+    assert "no.toml: No such file" in capsys.readouterr().err
+
+
+def test_a_calibrated_replay_shows_raw_beside_compensated(simulated_tlog, tmp_path):
+    out = tmp_path / "flight.rrd"
+    sensor = SensorSettings(calibration=str(SHIPPED / "sim-1.toml"))
+    result = replay_log(simulated_tlog, sensor=sensor)
+    assert result.is_calibrated
+    write_recording(out, result)
+    calibrated = out.stat().st_size
+    plain = replay_log(simulated_tlog)
+    assert not plain.is_calibrated
+    write_recording(out, plain)
+    # Rate and force, each raw, used and their difference: 18 numbers per sample.
+    assert calibrated - out.stat().st_size > 0.5 * 18 * 8 * len(plain.estimates)
+
+
+def test_estimate_compensates_arrays(tmp_path, capsys):
+    """The raw output of the simulator's sensor, its temperature, and the shipped calibration."""
+    rows = make_flight("flight", 30.0, seed=2, rate_hz=100.0).rows
+    fields = {
+        "imu_gyr": rows["gyro_rad_s"],
+        "imu_acc": rows["accel_m_s2"],
+        "imu_degc": rows["imu_degc"],
+        "sampling_rate": 100.0,
+    }
+    source, out = tmp_path / "in.npz", tmp_path / "out.npz"
+    np.savez(source, **fields)
+    words = ["estimate", "--in", str(source), "--out", str(out), "--profile", "fixed_wing"]
+    quats = {}
+    for name, more in (("raw", []), ("known", ["--calibration", str(SHIPPED / "sim-1.toml")])):
+        for frame in ("--frame", "frd"), ("--offline",):
+            assert main([*words, *more, *frame]) == 0
+            quats[name, frame[0]] = np.load(out)["quat"]
+    assert "serial SIM-1" in capsys.readouterr().err.replace("\n", " ")
+    truth = euler_columns(rows["ned_from_body"])[:, :2]
+    for way in ("--frame", "--offline"):
+        errors = {
+            name: np.sqrt(np.mean((euler_columns(quats[name, way])[200:, :2] - truth[200:]) ** 2))
+            for name in ("raw", "known")
+        }
+        assert errors["known"] < errors["raw"], (way, errors)
+    assert main([*words, "--calibration", str(SHIPPED)]) == 2
+    assert "name the unit by sensor.unit" in capsys.readouterr().err
 
 
 def test_a_replay_takes_another_calibration_or_none(live, flight_frames, tmp_path):

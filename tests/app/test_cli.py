@@ -3,6 +3,7 @@
 import pytest
 
 from ahrs_service.app import cli
+from ahrs_service.app.calibrate.command import PROCEDURES
 
 
 def call(words):
@@ -28,8 +29,17 @@ def test_every_command_explains_itself(command, capsys):
     assert call([command, "--help"]) == 0
     shown = capsys.readouterr().out
     assert shown.startswith(f"usage: ahrs-service {command}")
-    options = [line for line in shown.splitlines() if line.startswith("  --")]
-    assert options
+    known = tuple(f"    {name} " for name in PROCEDURES) if command == "calibrate" else ("  --",)
+    assert [line for line in shown.splitlines() if line.startswith(known)]
+    assert "None" not in shown
+
+
+@pytest.mark.parametrize("procedure", PROCEDURES)
+def test_every_procedure_of_calibrate_explains_itself(procedure, capsys):
+    assert call(["calibrate", procedure, "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert shown.startswith(f"usage: ahrs-service calibrate {procedure}")
+    assert [line for line in shown.splitlines() if line.startswith("  --")]
     assert "None" not in shown
 
 

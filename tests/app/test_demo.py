@@ -20,6 +20,7 @@ TIMEOUT_S = 90.0
 
 def start(out: Path, seconds: float) -> "subprocess.Popen[str]":
     options = ["--headless", "--seconds", str(seconds), "--out", str(out)]
+    options += ["--calibration", str(ROOT / "configs" / "calibrations")]
     return subprocess.Popen(
         [sys.executable, "-m", "ahrs_service.app.cli", "demo", *options],
         cwd=ROOT,
@@ -67,13 +68,15 @@ def test_it_flies_reports_and_leaves_whole_files(tmp_path, ended):
     assert re.search(r"HIGHRES_IMU: asked 200, came [12]\d\d\.\d Hz \(granted\)", shown)
     assert re.search(r"latency +│ p50 \d+\.\d\d ms", shown)
     assert "error against SIM_STATE (truth" in shown
+    assert "sim-1.toml: serial SIM-1" in shown
+    assert result.summary.calibration == "that of the recording, serial SIM-1"
     truth = next(one for one in result.recording.references if one.is_truth)
     assert len(truth.time_ns) > 200
 
     from rerun.chunk import RrdReader
 
     shown_in_rrd = {str(chunk.entity_path) for chunk in RrdReader(folder / "flight.rrd").stream()}
-    assert len(shown_in_rrd) > 10
+    assert {"/sensor/rate/raw", "/sensor/rate/used"} < shown_in_rrd
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
@@ -98,6 +101,8 @@ def test_what_cannot_be_flown_is_told_before_anything_is_made(tmp_path, capsys):
     assert "--scenario moon: choose one of flight" in capsys.readouterr().err
     assert main(["demo", "--out", str(out), "--set", "link.uri=4"]) == 2
     assert "link.uri = 4" in capsys.readouterr().err
+    assert main(["demo", "--out", str(out), "--calibration", str(tmp_path / "no.toml")]) == 2
+    assert "no.toml: No such file" in capsys.readouterr().err
     assert not out.exists()
 
 

@@ -59,7 +59,7 @@ def triads(draw, largest):
 g_sensitivities = st.tuples(*[st.tuples(*[floats(-0.01, 0.01)] * 3)] * 3)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(
     triads(35.0),
     g_sensitivities,

@@ -27,13 +27,20 @@ def test_a_sensing_element_that_warms_later_follows_a_step_as_an_exponential():
     np.testing.assert_array_equal(acting[:, 1], reported)
 
 
-def test_of_a_thermometer_that_lags_three_quarters_of_the_lag_are_undone():
-    """On a ramp of r degC/s a lag of tau shows r tau too little; r tau / LEAD_GAIN is left."""
+def test_of_a_thermometer_that_lags_the_lag_is_undone():
+    """On a ramp of r degC/s a lag of tau shows r tau too little; nothing of it is left."""
     slope = 0.1
     shown = 20.0 + slope * (TIME_S - LAG_S * (1.0 - np.exp(-TIME_S / LAG_S)))
     acting = acting_columns(with_lags(0.0, -LAG_S), shown, TIME_S)
-    late = (20.0 + slope * TIME_S - acting[:, 1])[-1]
-    assert late == pytest.approx(slope * LAG_S / LEAD_GAIN, rel=0.01)
+    late = 20.0 + slope * TIME_S - acting[:, 1]
+    assert late[-1] == pytest.approx(0.0, abs=0.01 * slope * LAG_S)
+
+
+def test_after_a_step_the_lead_goes_too_far_by_a_ninth_at_most():
+    """With x = tau s, (1 + 4/3 x) / ((1 + x) (1 + x / 3)) gives 1 + exp(-t) / 2 - 3/2 exp(-3 t)."""
+    shown = 40.0 - 20.0 * np.exp(-TIME_S / LAG_S)
+    acting = acting_columns(with_lags(0.0, -LAG_S), shown, TIME_S)[:, 1]
+    assert acting.max() == pytest.approx(40.0 + 20.0 / 9.0, abs=0.05)
 
 
 def test_a_step_of_the_thermometer_is_enlarged_by_the_gain_and_no_more():

@@ -16,7 +16,7 @@ RATE_HZ = 1000.0
 
 @pytest.fixture(scope="module", params=TABLES)
 def swung(request):
-    return SCENARIOS[request.param].swing, make_flight(request.param, 40.0, 1, RATE_HZ).rows
+    return SCENARIOS[request.param].bench, make_flight(request.param, 40.0, 1, RATE_HZ).rows
 
 
 def test_amplitude_and_rate_are_the_papers():

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from ahrs_service.records import Gate, Phase
+from ahrs_service.records import READING_DTYPE, Gate, Phase, empty
 from ahrs_service.rotation import euler_columns
 from ahrs_service.settings import GateSettings
 from viz import batch, entities
@@ -195,3 +195,33 @@ def test_trust_is_told_for_each_second(tmp_path, flight, read):
         (3.0, "partly trusted"),
         (4.0, "trusted"),
     ]
+
+
+def with_readings(flight):
+    """What the sensor gave for each estimate: off by a bias of its own."""
+    readings = empty(READING_DTYPE, len(flight))
+    readings["time_ns"] = flight["time_ns"]
+    readings["gyro_rad_s"] = flight["rate_rad_s"] + 0.1
+    readings["accel_m_s2"] = flight["accel_m_s2"] - 0.2
+    return readings
+
+
+def test_raw_values_stand_beside_compensated_where_readings_are_given(tmp_path, flight, read):
+    readings = with_readings(flight)
+    path = tmp_path / "flight.rrd"
+    batch.write_rrd(path, flight, readings=readings)
+    tables = read(path)
+    rate, force = np.degrees(flight["rate_rad_s"]), flight["accel_m_s2"]
+    expected = {
+        entities.RAW_RATE: np.degrees(readings["gyro_rad_s"]),
+        entities.USED_RATE: rate,
+        entities.RATE_CORRECTION: np.full(rate.shape, np.degrees(0.1)),
+        entities.RAW_FORCE: readings["accel_m_s2"],
+        entities.USED_FORCE: force,
+        entities.FORCE_CORRECTION: np.full(force.shape, -0.2),
+    }
+    for entity, values in expected.items():
+        shown = tables[entity].numbers("Scalars:scalars")
+        np.testing.assert_allclose(shown, values, atol=1e-12, err_msg=entity)
+    batch.write_rrd(path, flight)
+    assert not set(expected) & set(read(path))

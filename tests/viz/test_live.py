@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 
+from ahrs_service.records import READING_DTYPE, empty
 from viz import batch, entities
 from viz.live import LiveViewer, ViewerError
 
@@ -51,6 +52,24 @@ def test_live_and_replay_write_the_same_columns(tmp_path, flight, read):
     for entity, table in replay.items():
         np.testing.assert_array_equal(live[entity].t, table.t, err_msg=entity)
         assert repr(live[entity].cells) == repr(table.cells), entity
+
+
+def test_live_and_replay_show_the_same_raw_values(tmp_path, flight, read):
+    readings = empty(READING_DTYPE, len(flight))
+    readings["gyro_rad_s"], readings["accel_m_s2"] = flight["rate_rad_s"], 2.0
+    viewer = LiveViewer(0, tmp_path / "live.rrd", period_s=0.001, shows_sensor=True)
+    viewer.start()
+    # A calibration that comes in flight: before it nothing is shown.
+    for i in range(len(flight)):
+        viewer.estimate(flight[i : i + 1], readings[i : i + 1] if i >= 500 else None)
+    viewer.close()
+    assert (viewer.error, viewer.dropped) == ("", 0)
+    batch.write_rrd(tmp_path / "replay.rrd", flight, readings=readings)
+    live, replay = read(tmp_path / "live.rrd"), read(tmp_path / "replay.rrd")
+    for entity in (entities.RAW_RATE, entities.USED_FORCE, entities.FORCE_CORRECTION):
+        shown, whole = (tables[entity].numbers("Scalars:scalars") for tables in (live, replay))
+        np.testing.assert_array_equal(shown, whole[500:], err_msg=entity)
+        np.testing.assert_array_equal(live[entity].t, replay[entity].t[500:], err_msg=entity)
 
 
 def test_a_full_queue_drops_the_oldest_and_says_so(tmp_path, flight, read):

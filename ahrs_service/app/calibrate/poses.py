@@ -1,0 +1,69 @@
+"""What the procedures with poses share: checks before the fit, remarks on what was recorded."""
+
+from typing import Final
+
+import numpy as np
+
+from ahrs_service.app.calibrate.capture import Capture, check_rate, joined
+from ahrs_service.calibration.columns import ImuColumns, check_saturation, check_stream_unit
+from ahrs_service.calibration.errors import CalibrationError
+from ahrs_service.calibration.poses import check_clipped_poses, find_poses, span_of
+from ahrs_service.calibration.verdict import Finding, Level
+from ahrs_service.records import Rows
+
+LEAST_HZ: Final = 1.0
+"""Slower samples have no window of eight in any pose that a person would hold."""
+LEAST_TURN_HZ: Final = 20.0
+"""Slower gyros lose the course of a turn by hand, which lasts about a second."""
+
+_WARM_K: Final = 3.0
+
+
+def still_poses(captures: list[Capture]) -> tuple[ImuColumns, Rows]:
+    """Return all columns and their still poses, checked; CalibrationError says what is wrong."""
+    for capture in captures:
+        check_rate(capture, LEAST_HZ, "telling rest from motion")
+    columns = joined(captures)
+    check_stream_unit(columns)
+    check_saturation(columns)
+    poses = find_poses(columns)
+    if not len(poses):
+        raise CalibrationError(
+            "the unit is nowhere still for 1.5 s: put it down on something solid, without motors "
+            "and hands, and record again"
+        )
+    check_clipped_poses(columns, poses)
+    return columns, poses
+
+
+def remarks(captures: list[Capture], poses: Rows) -> tuple[Finding, ...]:
+    """Say what the autopilot had done to the samples, and what their temperatures mean."""
+    return (*on_autopilot(captures), _on_temperature(poses))
+
+
+def on_autopilot(captures: list[Capture]) -> tuple[Finding, ...]:
+    """Say what the autopilot had done to the samples before it recorded them."""
+    told = dict.fromkeys(text for capture in captures for text in capture.compensated)
+    return tuple(Finding(Level.WARNING, text) for text in told)
+
+
+def _on_temperature(poses: Rows) -> Finding:
+    span = span_of(poses)
+    if span is None:
+        text = "the temperature of the IMU is not known, so neither is where this holds"
+        return Finding(Level.WARNING, text)
+    low, high = span
+    if high - low > _WARM_K:
+        text = (
+            f"the IMU went from {low:.0f} to {high:.0f} degC during the poses, and its errors with "
+            "it: let it warm up before, or calibrate over temperature (calibrate thermal)"
+        )
+        return Finding(Level.WARNING, text)
+    text = f"holds at {low:.0f} to {high:.0f} degC; nothing is known of other temperatures"
+    return Finding(Level.NOTE, text)
+
+
+def temperature_of(poses: Rows) -> float:
+    """Return the mean temperature of the poses [degC], NaN where not known."""
+    known = poses["temperature_degc"][np.isfinite(poses["temperature_degc"])]
+    return float(known.mean()) if len(known) else float("nan")

@@ -1,0 +1,127 @@
+"""Drift over temperature: from recordings in which the unit lies still and warms or cools.
+
+Cool the unit (a freezer, in a bag against frost), switch it on, put it down and record until it is
+as warm as it gets; or let a chamber heat and cool it. A recording for each power-on, any number of
+them, in one pose or, for scale and axes too, in poses all around: come back to each, as exactly as
+a fixture does, before the temperature has moved by some 5 degC. 10 degC of span are the least that
+is accepted, and the drift is known for what was recorded only.
+
+Both heating and cooling show the lag between thermometer and sensing elements and the hysteresis.
+How flexible the curves are is decided by time held out from the fit; a calibration that makes such
+time worse is refused.
+
+Examples:
+  ahrs-service calibrate thermal warmup.tlog --out configs/calibrations/A0042.toml
+  ahrs-service calibrate thermal cold1.bin cold2.bin --json
+
+"""
+
+import argparse
+import dataclasses
+import datetime
+import json
+from typing import Any, Final
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from ahrs_service.app import calibration_file
+from ahrs_service.app.calibrate import capture, outcome, poses
+from ahrs_service.calibration.thermal import PROCEDURE, ThermalResult, calibrate_thermal
+from ahrs_service.calibration.verdict import TriadVerdict
+from ahrs_service.sensor.parameters import Calibration
+from ahrs_service.sensor.provenance import Provenance, SourceRecording
+
+LEAST_HZ: Final = 0.5
+"""Slower samples have no window of eight between a bump and the next."""
+_SHOWN: Final = {"gyro": (1e3, "mrad/s"), "accel": (1e3 / 9.80665, "mg")}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `calibrate thermal`."""
+    capture.add_arguments(parser)
+    outcome.add_arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fit, judge, show and write; return the exit code."""
+    console = Console(stderr=bool(arguments.json))
+    captures = capture.read_captures(arguments)
+    for one in captures:
+        capture.check_rate(one, LEAST_HZ, "telling rest from motion")
+    room = outcome.unit_of(arguments, captures)
+    result = calibrate_thermal(
+        [one.columns for one in captures], room, poses.on_autopilot(captures)
+    )
+    console.print(outcome.report(result.verdict, {}, captures))
+    for triad in result.verdict.triads:
+        console.print(_by_temperature(triad))
+    written = None
+    if arguments.out is not None and not result.verdict.is_refused:
+        calibration_file.save(arguments.out, _with_origin(result, room, captures))
+        written = str(arguments.out)
+        console.print(f"wrote {escape(written)}", highlight=False, soft_wrap=True)
+    elif arguments.out is not None:
+        console.print(f"{escape(str(arguments.out))} was not written", style="bold red")
+    if arguments.json:
+        print(json.dumps(_plain(result, captures, written)))
+    return outcome.EXIT_REFUSED if result.verdict.is_refused else outcome.EXIT_DONE
+
+
+def _with_origin(
+    result: ThermalResult,
+    room: Calibration,
+    captures: list[capture.Capture],
+) -> Calibration:
+    """Return the calibration with verdict and where it comes from."""
+    origin = room.provenance
+    recordings = {recording.sha256: recording for recording in origin.recordings}
+    for one in captures:
+        recordings[one.sha256] = SourceRecording(one.path.name, one.sha256, PROCEDURE)
+    return dataclasses.replace(
+        result.calibration,
+        verdict=outcome.as_stored(result.verdict, room.verdict),
+        provenance=Provenance(
+            date=datetime.date.today().isoformat(),
+            procedures=tuple(dict.fromkeys((*origin.procedures, PROCEDURE))),
+            recordings=tuple(recordings.values()),
+        ),
+    )
+
+
+def _by_temperature(triad: TriadVerdict) -> Table:
+    scale, unit = _SHOWN[triad.triad]
+    table = Table(
+        title=f"{triad.triad}: RMS residual by temperature [{unit}]", title_justify="left"
+    )
+    for head in ("degC", "means", "x", "y", "z"):
+        table.add_column(head, justify="right")
+    for one in triad.by_temperature:
+        cells = [f"{scale * value:.2f}" for value in one.rms]
+        table.add_row(f"{one.low_degc:.0f} to {one.high_degc:.0f}", str(one.count), *cells)
+    return table
+
+
+def _plain(
+    result: ThermalResult, captures: list[capture.Capture], written: str | None
+) -> dict[str, Any]:
+    """Return all that was found as JSON holds it."""
+    found = {}
+    for name, triad in (("gyro", result.gyro), ("accel", result.accel)):
+        lag = triad.fit.lag
+        found[name] = {
+            "curves": [structure.text for structure in triad.fit.structures],
+            "thermal_lag_s": lag.lag_s,
+            "thermal_lag_interval_s": [lag.low_s, lag.high_s],
+            "lag_is_told": lag.is_told,
+        }
+    return {
+        "procedure": PROCEDURE,
+        "words": result.verdict.words,
+        "usable": not result.verdict.is_refused,
+        "verdict": result.verdict.to_dict(),
+        "found": found,
+        "recordings": [{"name": one.path.name, "sha256": one.sha256} for one in captures],
+        "wrote": written,
+    }

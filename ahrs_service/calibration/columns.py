@@ -1,0 +1,133 @@
+"""What every procedure begins with: one IMU's columns as it sent them, and what is wrong there."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from ahrs_service.calibration.errors import CalibrationError
+from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.records import Floats
+
+AXES: Final = ("x", "y", "z")
+
+_UNITS: Final = ((1000.0, "mG"), (1.0, "g"), (1e5 / STANDARD_GRAVITY_M_S2, "cm/s^2 or mm/s^2"))
+_UNIT_TOLERANCE: Final = 0.2
+_FLAT_TOP: Final = 3
+_FLAT_TOP_JUMP: Final = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class ImuColumns:
+    """The output of one IMU, not compensated: the columns of a recording or of a live session.
+
+    `time_s` [N] [s], rising; rate [N, 3] [rad/s], specific force [N, 3] [m/s^2] (about 9.8 up at
+    rest), temperature [N] [degC] of the IMU itself, NaN where not known.
+    """
+
+    time_s: Floats
+    gyro_rad_s: Floats
+    accel_m_s2: Floats
+    temperature_degc: Floats
+
+    @property
+    def interval_s(self) -> float:
+        """Usual time between samples [s], NaN for fewer than two."""
+        return float(np.median(np.diff(self.time_s))) if len(self.time_s) > 1 else np.nan
+
+    def part(self, first: int, last: int) -> "ImuColumns":
+        """Return the samples `first` up to `last`, not with it."""
+        place = slice(first, last)
+        return ImuColumns(
+            self.time_s[place],
+            self.gyro_rad_s[place],
+            self.accel_m_s2[place],
+            self.temperature_degc[place],
+        )
+
+
+def check_force_unit(force_m_s2: Floats) -> None:
+    """Raise CalibrationError where the force [K, 3] of still poses is not in m/s^2.
+
+    The norm at rest is gravity within a fifth for any sensor that is worth calibrating.
+    """
+    if not len(force_m_s2):
+        return
+    norm = float(np.median(np.linalg.norm(force_m_s2, axis=1)))
+    if abs(norm / STANDARD_GRAVITY_M_S2 - 1.0) <= _UNIT_TOLERANCE:
+        return
+    for one_g, unit in _UNITS:
+        if abs(norm / one_g - 1.0) <= _UNIT_TOLERANCE:
+            raise CalibrationError(
+                f"the specific force at rest is {norm:.4g}: this is in {unit}; convert it to m/s^2 "
+                f"(multiply by {STANDARD_GRAVITY_M_S2 / one_g:.6g})"
+            )
+    raise CalibrationError(
+        f"the specific force at rest is {norm:.4g} m/s^2 instead of about 9.8: choose another IMU "
+        "message (--imu), or check the unit and the range that the accelerometer is set to"
+    )
+
+
+def check_stream_unit(columns: ImuColumns) -> None:
+    """Raise CalibrationError where the force is in another unit, before anything was seen still.
+
+    In motion the norm is no gravity, but not half or twice of it for most of the time.
+    """
+    norm = np.linalg.norm(columns.accel_m_s2, axis=1)
+    if not 0.5 < float(np.median(norm)) / STANDARD_GRAVITY_M_S2 < 2.0:
+        check_force_unit(columns.accel_m_s2)
+
+
+def check_temperature(temperature_degc: Floats, least_span_k: float = 0.0) -> None:
+    """Raise CalibrationError where temperatures [N] are missing or span less than is needed."""
+    known = temperature_degc[np.isfinite(temperature_degc)]
+    if len(known) < max(1, len(temperature_degc) // 2):
+        raise CalibrationError(
+            "the IMU's own temperature is missing: record SCALED_IMU or RAW_IMU of an autopilot "
+            "that fills in its temperature (a barometer's is another place's)"
+        )
+    span = float(np.ptp(known))
+    if least_span_k and span < least_span_k:
+        raise CalibrationError(
+            f"the temperature is constant, {span:.1f} degC of span around "
+            f"{np.median(known):.0f} degC: cool the unit, and record while it warms up by "
+            f"{least_span_k:.0f} degC or more"
+        )
+
+
+def find_flat_tops(values: Floats) -> list[int]:
+    """Return the axes of `values` [N, 3] that run into an end of their range.
+
+    There the same extreme value comes three times or more on end, reached by a jump of ten times
+    the usual step: noise does neither, and a coarse but quiet sensor lacks the jump.
+    """
+    return [
+        axis for axis in range(values.shape[1]) if len(values) and _is_flat_top(values[:, axis])
+    ]
+
+
+def _is_flat_top(values: Floats) -> bool:
+    steps = np.abs(np.diff(values))
+    usual = float(np.median(steps)) or float(np.min(steps[steps > 0.0], initial=np.inf))
+    for extreme in (values.max(), values.min()):
+        at = np.flatnonzero(np.diff(np.concatenate([[0], values == extreme, [0]]).astype(np.int8)))
+        for first, last in zip(at[::2], at[1::2], strict=True):
+            into = steps[first - 1] if first > 0 else 0.0
+            out_of = steps[last - 1] if last < len(values) else 0.0
+            if last - first >= _FLAT_TOP and max(into, out_of) > _FLAT_TOP_JUMP * usual:
+                return True
+    return False
+
+
+def check_saturation(columns: ImuColumns) -> None:
+    """Raise CalibrationError where gyros or accelerometers ran into the end of their range."""
+    for name, values, unit in (
+        ("gyro", columns.gyro_rad_s, "rad/s"),
+        ("accelerometer", columns.accel_m_s2, "m/s^2"),
+    ):
+        for axis in find_flat_tops(values):
+            limit = float(np.abs(values[:, axis]).max())
+            raise CalibrationError(
+                f"{name} {AXES[axis]} is saturated at {limit:.4g} {unit}: turn and put down the "
+                "unit more slowly, or set the sensor to a wider range, and record again"
+            )
