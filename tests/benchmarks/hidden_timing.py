@@ -64,7 +64,7 @@ class Hidden:
     after_deg: float
 
 
-def unsynchronised(name: str, seed: int, late_ms: int) -> Flight:
+def unsynchronised(name: str, seed: int, late_ms: int, seconds: float = TABLE_S) -> Flight:
     """Return a swing whose sensors are `late_ms` behind the table, at 1000 Hz.
 
     Each row holds the table's encoder of now, the velocity that it gives the sensor's place, and
@@ -77,7 +77,7 @@ def unsynchronised(name: str, seed: int, late_ms: int) -> Flight:
         gyro_noise=replace(imu.gyro_noise, density=share * imu.gyro_noise.density),
         accel_noise=replace(imu.accel_noise, density=share * imu.accel_noise.density),
     )
-    flight = make_flight(name, TABLE_S, seed, FINE_HZ, imu)
+    flight = make_flight(name, seconds, seed, FINE_HZ, imu)
     rows = flight.rows.copy()
     rows["estimate_ned_from_body"] = rows["ned_from_body"]
     taken = np.clip(np.arange(len(rows)) - late_ms, 0, len(rows) - 1)
@@ -102,9 +102,9 @@ def offset_of(diagnosis: Diagnosis) -> tuple[float, float]:
     return 0.0, math.nan
 
 
-def hide(axis: str, seed: int, late_ms: int) -> Hidden:
+def hide(axis: str, seed: int, late_ms: int, seconds: float = TABLE_S) -> Hidden:
     """Hide an offset, diagnose, and mend the stamps by what was found."""
-    flight = unsynchronised(TABLES[axis], seed, late_ms)
+    flight = unsynchronised(TABLES[axis], seed, late_ms, seconds)
     with tempfile.TemporaryDirectory() as folder:
         diagnosis = diagnosed(flight, Path(folder))
     found_s, sigma_s = offset_of(diagnosis)
@@ -125,6 +125,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=2)
     parser.add_argument("--axis", choices=[*TABLES], help="one axis only")
     parser.add_argument("--late", type=int, metavar="MS", help="one offset only")
+    parser.add_argument("--seconds", type=float, default=TABLE_S)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     table = Table(title="table and system 13 ms apart, the cause hidden", title_justify="left")
@@ -134,7 +135,8 @@ def main() -> None:
     for axis in [arguments.axis] if arguments.axis else TABLES:
         for late_ms in (LATE_MS, -LATE_MS) if arguments.late is None else (arguments.late,):
             for seed in range(1, arguments.runs + 1):
-                results.append(hide(axis, seed, late_ms))
+                results.append(hide(axis, seed, late_ms, arguments.seconds))
+                print(results[-1], flush=True)
                 table.add_row(*(_cell(value) for value in asdict(results[-1]).values()))
     Console(width=140).print(table)
     if arguments.json is not None:

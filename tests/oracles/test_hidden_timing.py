@@ -12,7 +12,8 @@ SCRIPT = Path(__file__).parents[1] / "benchmarks" / "hidden_timing.py"
 
 def test_a_table_13_ms_apart_is_named_and_mended(tmp_path):
     out = tmp_path / "hidden.json"
-    words = ["--runs", "1", "--axis", "roll", "--late", "13", "--json", str(out)]
+    words = ["--runs", "1", "--axis", "roll", "--late", "13"]
+    words += ["--seconds", "30", "--json", str(out)]
     command = [sys.executable, SCRIPT, *words]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
