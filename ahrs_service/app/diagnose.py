@@ -24,19 +24,19 @@ from ahrs_service.app import calibration_file, toml_file, twin_file
 from ahrs_service.app import diagnosis_text as text
 from ahrs_service.app.diagnosis_page import PANELS_SHOWN, page
 from ahrs_service.app.diagnosis_terminal import summary
-from ahrs_service.app.loaded_recording import Loaded, load
+from ahrs_service.app.loaded_recording import load
+from ahrs_service.app.recorded_columns import with_velocity
 from ahrs_service.app.replay import progress_bar
 from ahrs_service.calibration.folding import fold
 from ahrs_service.diagnosis.diagnose import diagnose
 from ahrs_service.diagnosis.known import without_effects
-from ahrs_service.diagnosis.recorded import Recorded, Series
+from ahrs_service.diagnosis.recorded import Recorded
 from ahrs_service.diagnosis.result import Diagnosis, as_json
 from ahrs_service.effects.base import Effect, Values
 from ahrs_service.effects.catalogue import effect_of
 from ahrs_service.sensor.compensation import compensate_columns
 from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.simulation.imu import Imu
-from ahrs_service.simulation.reference import smooth
 from links.errors import RecordingError
 from links.recording_formats import KNOWN
 
@@ -109,21 +109,6 @@ def diagnose_file(path: Path, twin: Imu, errors: Console) -> Diagnosis:
         except ValueError as error:
             raise RecordingError(f"{path}: {error}") from None
     return dataclasses.replace(diagnosis, notes=(*loaded.notes, *diagnosis.notes))
-
-
-def with_velocity(loaded: Loaded) -> Recorded:
-    """Return the columns, with the velocity of the receiver's positions where there is no other."""
-    columns, place = loaded.columns, loaded.position_ned_m
-    if len(columns.velocity_ned_m_s):
-        return columns
-    if not len(place):
-        raise ValueError(
-            "no velocity to compare the accelerometer with; "
-            "record LOCAL_POSITION_NED or GLOBAL_POSITION_INT at 5 Hz or more"
-        )
-    curve = smooth(place.time_s, place.values, "position")
-    velocity = Series(place.time_s, curve.derivative()(place.time_s))
-    return dataclasses.replace(columns, velocity_ned_m_s=velocity)
 
 
 def compensated(columns: Recorded, calibration: Calibration) -> Recorded:

@@ -14,6 +14,7 @@ from links.recording import Recording
 from links.tlog import TlogFile
 
 _UNIX_FROM_NS: Final = 10**18
+_NO_VOLTAGE: Final = 65535
 _EARTH_M: Final = 6_371_000.0
 
 
@@ -59,7 +60,7 @@ def _stack(table: Rows, names: tuple[str, ...]) -> Floats:
 def tlog_covariates(
     tlog: TlogFile, clock: TlogClock, reference: str
 ) -> tuple[dict[str, Series], Series]:
-    """Return vibration, current, throttle, airspeed, and the reference's own body rates."""
+    """Return vibration, current, supply, throttle, airspeed; the reference's own body rates."""
 
     def table_of(name: str) -> Rows | None:
         return tlog.tables.get((*clock.vehicle, name))
@@ -74,6 +75,9 @@ def tlog_covariates(
             known = table[table["current_battery"] >= 0]
             values = known["current_battery"] * 1e-2
             found["current"] = rising(Series(clock.before(known), values))
+    if (table := table_of("BATTERY_STATUS")) is not None:
+        known = table[table["voltages"][:, 0] != _NO_VOLTAGE]
+        found["supply"] = rising(Series(clock.before(known), known["voltages"][:, 0] * 1e-3))
     if (table := table_of("VFR_HUD")) is not None:
         for name, unit in (("throttle", 1e-2), ("airspeed", 1.0)):
             values = table[name].astype(np.float64) * unit
@@ -111,6 +115,7 @@ _DATAFLASH: Final = (
     ("vibration", "VIBE", ("VibeX", "VibeY", "VibeZ"), 1.0),
     ("current", "BAT", ("Curr",), 1.0),
     ("current", "CURR", ("Curr",), 1.0),
+    ("supply", "BAT", ("Volt",), 1.0),
     ("throttle", "CTUN", ("ThO",), 1.0),
     ("throttle", "CTUN", ("ThrOut",), 1e-3),
     ("airspeed", "ARSP", ("Airspeed",), 1.0),

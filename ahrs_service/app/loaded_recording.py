@@ -104,6 +104,7 @@ def load(path: Path, progress: Progress | None = None) -> Loaded:
             current_a=covariates.get("current", Series()),
             throttle=covariates.get("throttle", Series()),
             airspeed_m_s=covariates.get("airspeed", Series()),
+            supply_v=covariates.get("supply", Series()),
         ),
         position,
         tuple(notes),

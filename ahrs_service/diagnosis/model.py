@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.diagnosis.library import Term, least_limit, linear_entries, sources, unit_response
+from ahrs_service.diagnosis.library import Term, limits, linear_entries, sources, unit_response
 from ahrs_service.diagnosis.likelihood import fit, fit_noise
 from ahrs_service.diagnosis.residual import Noise, Residual, bias_rows
 from ahrs_service.effects.base import Addition, Columns, Effect, Parameter
@@ -144,13 +144,13 @@ def _moved(terms: tuple[Term, ...], numbers: list[Number], by: Floats) -> tuple[
 
 
 def _possible(residual: Residual, terms: tuple[Term, ...]) -> tuple[Term, ...]:
-    """Return the terms with no limit below what the IMU has read."""
+    """Return the terms with limits that agree with what the IMU has read."""
     possible = []
     for term in terms:
         values = dict(term.values)
         if term.effect.name == "saturation":
-            least = least_limit(residual, term.effect)
-            values["limit"] = np.maximum(values["limit"], least)
+            bounds = limits(residual, term.effect)
+            values["limit"] = np.array(np.clip(float(values["limit"]), *bounds))
         possible.append(Term(term.effect, values))
     return tuple(possible)
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ahrs_service.app.diagnose import with_velocity
 from ahrs_service.app.loaded_recording import load, vibration_of
+from ahrs_service.app.recorded_columns import with_velocity
 from ahrs_service.simulation.scenario import make_flight
 from links.errors import RecordingError
 
