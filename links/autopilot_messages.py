@@ -22,7 +22,6 @@ _HOME_LONGITUDE_DEG: Final = 8.55
 _HOME_ALTITUDE_M: Final = 120.0
 _DEG_PER_M: Final = 1.0 / 111_195.0
 _GAUSS_PER_UT: Final = 0.01
-_FULL_CURRENT_A: Final = 25.0
 _BATTERY_MAH: Final = 5000.0
 _UPDATED: Final = 0x1FFF
 _NO_VOLTAGE: Final = 65535
@@ -48,9 +47,7 @@ class FlightMessages:
         self._rate_hz = rate_hz
         self._truth_euler = euler_columns(rows["ned_from_body"])
         self._estimate_euler = euler_columns(rows["estimate_ned_from_body"])
-        current_a = 1.0 + _FULL_CURRENT_A * rows["throttle"]
-        self._current_a = current_a
-        self._used_mah = np.cumsum(current_a) / rate_hz / 3.6
+        self._used_mah = np.cumsum(rows["current_a"], dtype=np.float64) / rate_hz / 3.6
         self._builders: dict[str, Callable[[int], Any]] = {
             "HEARTBEAT": self._heartbeat,
             "SYSTEM_TIME": self._system_time,
@@ -233,7 +230,7 @@ class FlightMessages:
     def _battery_status(self, index: int) -> Any:
         used_mah = float(self._used_mah[index])
         left = max(0.0, 1.0 - used_mah / _BATTERY_MAH)
-        current_a = float(self._current_a[index])
+        current_a = float(self._rows["current_a"][index])
         millivolts = int(1000.0 * (10.8 + 1.8 * left - 0.02 * current_a))
         return dialect.MAVLink_battery_status_message(
             0,

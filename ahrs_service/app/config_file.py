@@ -45,7 +45,7 @@ def load(
         file, document = _read_profile(profile)
         origins.append(str(file))
     if path is not None:
-        _lay_over(document, _read_toml(Path(path)))
+        _lay_over(document, read_toml(Path(path)))
         origins.append(str(path))
     if given := [(override, *_split(override)) for override in overrides]:
         origins.append("the command line")
@@ -63,7 +63,7 @@ def _read_profile(profile: str) -> tuple[Path, dict[str, Any]]:
             f"--profile {profile}: no such profile; known are {', '.join(profiles.names())}, "
             f"or give a {profiles.SUFFIX} file"
         )
-    document = _read_toml(file)
+    document = read_toml(file)
     from_document(document, str(file))
     return file, document
 
@@ -120,7 +120,8 @@ def from_json(text: bytes, origin: str) -> Settings:
     return from_document(document, origin)
 
 
-def _read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file; ConfigError says why it cannot be."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

@@ -1,47 +1,221 @@
-"""Say what a recording's IMU does that its twin does not: which physics was left out.
+"""Compare a recording with its twin: where they differ, what physics was left out, how sure.
 
-ahrs-service diagnose flight.tlog --json report.json
+ahrs-service diagnose flight.tlog --html report.html --write-twin twin.toml
+ahrs-service diagnose flight.bin --twin twin.toml --json report.json --rrd report.rrd
+ahrs-service diagnose flight.tlog --against simulated.tlog
+
+The twin is the sensor as it is believed to be; without one an ideal sensor. What is found is
+described in plain words, proven on parts of the recording that it was not fitted to, and can be
+written into the twin, which is then simulated (simulate --twin), and, where it has that form, into
+a calibration, which the estimator compensates live (run --calibration).
 """
 
 import argparse
+import dataclasses
 import json
 from pathlib import Path
+from typing import Any, Final
 
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import Progress
 
-from ahrs_service.app.recorded_columns import read_columns
+from ahrs_service.app import calibration_file, toml_file, twin_file
+from ahrs_service.app import diagnosis_text as text
+from ahrs_service.app.diagnosis_page import PANELS_SHOWN, page
+from ahrs_service.app.diagnosis_terminal import summary
+from ahrs_service.app.loaded_recording import load
+from ahrs_service.app.recorded_columns import with_velocity
+from ahrs_service.app.replay import progress_bar
+from ahrs_service.calibration.folding import fold
 from ahrs_service.diagnosis.diagnose import diagnose
-from ahrs_service.diagnosis.result import as_json
+from ahrs_service.diagnosis.known import without_effects
+from ahrs_service.diagnosis.recorded import Recorded
+from ahrs_service.diagnosis.result import Diagnosis, as_json
+from ahrs_service.effects.base import Effect, Values
+from ahrs_service.effects.catalogue import effect_of
+from ahrs_service.sensor.compensation import compensate_columns
+from ahrs_service.sensor.parameters import Calibration, coefficients
+from ahrs_service.simulation.imu import Imu
 from links.errors import RecordingError
+from links.recording_formats import KNOWN
+
+EXIT_DONE: Final = 0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ahrs-service diagnose`."""
-    parser.add_argument("recording", type=Path, metavar="RECORDING", help="a .tlog")
-    parser.add_argument("--json", type=Path, metavar="REPORT", help="write the report here")
+    parser.add_argument("recording", type=Path, metavar="RECORDING", help=KNOWN)
+    parser.add_argument(
+        "--twin", type=Path, metavar="TWIN.toml", help="the sensor as it is believed to be"
+    )
+    parser.add_argument(
+        "--against",
+        type=Path,
+        metavar="SIM.tlog",
+        help="diagnose this recording too and say what the first has that this one lacks",
+    )
+    parser.add_argument("--json", type=Path, metavar="OUT", help="write the report")
+    parser.add_argument("--html", type=Path, metavar="OUT", help="write one page with pictures")
+    parser.add_argument("--rrd", type=Path, metavar="OUT", help="write for the Rerun viewer")
+    parser.add_argument(
+        "--write-twin", type=Path, metavar="OUT.toml", help="write the twin with what was found"
+    )
+    parser.add_argument(
+        "--write-calibration",
+        type=Path,
+        metavar="OUT.toml",
+        help="write a calibration that compensates what was found, as far as that can be",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Diagnose one recording; return the exit code."""
-    out = Console(stderr=True)
-    recorded = read_columns(args.recording)
-    try:
-        with Progress(console=out, transient=True) as bar:
-            task = bar.add_task("diagnosis", total=1.0)
-            found = diagnose(recorded, (), lambda share: bar.update(task, completed=share))
-    except ValueError as error:
-        raise RecordingError(str(error)) from None
+    """Diagnose; return the exit code."""
+    console, errors = Console(), Console(stderr=True, soft_wrap=True, highlight=False)
+    twin = Imu() if args.twin is None else twin_file.read(args.twin)
+    diagnosis = diagnose_file(args.recording, twin, errors)
+    console.print(summary(args.recording.name, diagnosis))
+    against: tuple[str, Diagnosis] | None = None
+    if args.against is not None:
+        against = args.against.name, diagnose_file(args.against, twin, errors)
+        console.print(summary(*against))
+        _say_what_lacks(console, diagnosis, *against)
     if args.json is not None:
+        _write_json(args.json, diagnosis, against)
+    if args.html is not None:
+        content = page(args.recording.name, diagnosis, against)
+        toml_file.write_atomically(args.html, content.encode())
+    if args.rrd is not None:
+        _write_rrd(args.rrd, args.recording.name, diagnosis)
+    if args.write_twin is not None:
+        source = f"diagnose {args.recording.name}"
+        twin_file.write(args.write_twin, extended(twin, diagnosis), source, sigmas_of(diagnosis))
+    if args.write_calibration is not None:
+        _write_calibration(args.write_calibration, twin, diagnosis, console)
+    for name in ("json", "html", "rrd", "write_twin", "write_calibration"):
+        if (path := getattr(args, name)) is not None:
+            console.print(f"wrote {escape(str(path))}", highlight=False, soft_wrap=True)
+    return EXIT_DONE
+
+
+def diagnose_file(path: Path, twin: Imu, errors: Console) -> Diagnosis:
+    """Read and diagnose a recording, with a bar; RecordingError says why it cannot be."""
+    with progress_bar(errors, path.name) as advance:
+        loaded = load(path, lambda share: advance("reading", share))
         try:
-            args.json.write_text(json.dumps(as_json(found), indent=1) + "\n", encoding="utf-8")
-        except OSError as error:
-            raise RecordingError(f"{args.json}: {error.strerror}; give another file") from None
-    out.print(f"{escape(str(args.recording))}: {found.verdict}", highlight=False, soft_wrap=True)
-    for finding in found.findings:
-        out.print(f"  {finding.explanation}", highlight=False, soft_wrap=True)
-    for left in found.unexplained:
-        covariates = ", ".join(left.depends_on)
-        out.print(f"  {left.channel}: something unknown that depends on {covariates}")
-    return 0
+            columns = compensated(with_velocity(loaded), twin.calibration)
+            columns = without_effects(columns, twin.effects)
+            diagnosis = diagnose(columns, (), lambda share: advance("searching", share))
+        except ValueError as error:
+            raise RecordingError(f"{path}: {error}") from None
+    return dataclasses.replace(diagnosis, notes=(*loaded.notes, *diagnosis.notes))
+
+
+def compensated(columns: Recorded, calibration: Calibration) -> Recorded:
+    """Return the columns with the twin's calibration taken away from the IMU's readings."""
+    if calibration == Calibration.ideal():
+        return columns
+    time_s = columns.imu_time_s
+    temperature = columns.temperature_degc.at(time_s)
+    gyro, accel = compensate_columns(
+        coefficients(calibration), columns.gyro_rad_s, columns.accel_m_s2, temperature, time_s
+    )
+    return dataclasses.replace(columns, gyro_rad_s=gyro, accel_m_s2=accel)
+
+
+def found_effects(diagnosis: Diagnosis) -> list[tuple[Effect, Values]]:
+    """Return what was found as effects with their parameters."""
+    return [
+        (
+            effect_of(finding.effect),
+            effect_of(finding.effect).checked(
+                {name: estimate.value for name, estimate in finding.parameters.items()}
+            ),
+        )
+        for finding in diagnosis.findings
+    ]
+
+
+def extended(twin: Imu, diagnosis: Diagnosis) -> Imu:
+    """Return the twin with what was found; an effect that it had already takes the sum."""
+    return twin_file.with_effects(twin, found_effects(diagnosis))
+
+
+def sigmas_of(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
+    """Return the 1-sigma of every fitted parameter by effect id and name."""
+    return {
+        finding.effect: {
+            name: np.asarray(estimate.std, np.float64).tolist()
+            for name, estimate in finding.parameters.items()
+        }
+        for finding in diagnosis.findings
+    }
+
+
+def _say_what_lacks(console: Console, real: Diagnosis, name: str, simulated: Diagnosis) -> None:
+    findings, unexplained = text.lacking(real, simulated)
+    console.print(f"What {escape(name)} lacks:", style="bold")
+    for finding in findings:
+        console.print(f"  {escape(text.title(finding.effect))} ({finding.effect})", highlight=False)
+    for item in unexplained:
+        console.print(f"  {escape(text.unexplained_text(item))}", highlight=False)
+    if not findings and not unexplained:
+        console.print("  nothing: whatever the real recording shows, this one has")
+
+
+def _write_json(path: Path, diagnosis: Diagnosis, against: tuple[str, Diagnosis] | None) -> None:
+    report = as_json(diagnosis)
+    if against is not None:
+        findings, unexplained = text.lacking(diagnosis, against[1])
+        report["against"] = {
+            "recording": against[0],
+            "report": as_json(against[1]),
+            "lacks": [finding.effect for finding in findings],
+            "lacks_unexplained": [item.channel for item in unexplained],
+        }
+    toml_file.write_atomically(path, (json.dumps(report, indent=1) + "\n").encode())
+
+
+def _write_rrd(path: Path, name: str, diagnosis: Diagnosis) -> None:
+    # Loading rerun and matplotlib takes longer than reading most logs.
+    from viz import report_plots as plots  # noqa: PLC0415
+    from viz.report_rrd import write_report  # noqa: PLC0415
+
+    telling = sorted(diagnosis.covariates, key=lambda item: item.p_value)[:PANELS_SHOWN]
+    pictures = {}
+    if telling:
+        picture = plots.against_covariates(telling)
+        pictures["Residual against what it may depend on"] = plots.as_png(picture)
+    where = {
+        finding.effect: [(one.t0_s, one.t1_s, one.regime) for one in finding.where]
+        for finding in diagnosis.findings
+    }
+    where |= {
+        f"unexplained {item.channel}": [(one.t0_s, one.t1_s, one.regime) for one in item.where]
+        for item in diagnosis.unexplained
+    }
+    lines = [f"# {name}", text.VERDICTS[diagnosis.verdict]]
+    for finding in diagnosis.findings:
+        lines += [f"## {text.title(finding.effect)}", text.paragraph(finding)]
+    lines += [text.unexplained_text(item) for item in diagnosis.unexplained]
+    series = diagnosis.series
+    empty = np.zeros((0, 6))
+    time_s, before, after = (
+        (np.zeros(0), empty, empty)
+        if series is None
+        else (series.time_s, series.before, series.after)
+    )
+    try:
+        write_report(path, time_s, before, after, where, "\n\n".join(lines), pictures)
+    except OSError as error:
+        raise RecordingError(
+            f"{path}: {error.strerror}; give a file in a folder that can be written"
+        ) from None
+
+
+def _write_calibration(path: Path, twin: Imu, diagnosis: Diagnosis, console: Console) -> None:
+    # The effects of the twin act beside those that were found, and are compensated with them.
+    folded = fold(twin.calibration, extended(twin, diagnosis).effects)
+    calibration_file.save(path, folded.calibration)
+    for identifier, why in folded.left:
+        console.print(f"not in the calibration: {identifier}: {why}", highlight=False)

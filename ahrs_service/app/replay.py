@@ -48,7 +48,7 @@ Advance = Callable[[str, float], None]
 
 
 @contextlib.contextmanager
-def _progress(console: Console, log: str) -> Iterator[Advance]:
+def progress_bar(console: Console, log: str) -> Iterator[Advance]:
     """Show a bar while the block runs; give the function that moves it."""
     columns = (
         TextColumn("{task.description}"),
@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
     summaries: list[Summary] = []
     for path in logs:
         try:
-            with _progress(errors, path.name) as advance:
+            with progress_bar(errors, path.name) as advance:
                 result = replay_log(path, settings, advance, sensor, args.smooth)
                 written = outputs.write(result, advance)
         except RecordingError as error:

@@ -2,6 +2,8 @@
 
 ahrs-service simulate --link udpout:127.0.0.1:14550
 ahrs-service simulate --scenario circling --tlog circling.tlog
+ahrs-service simulate --script configs/flights/warm_up_and_turns.toml --tlog mine.tlog
+ahrs-service simulate --from flight.bin --twin configs/twins/small_autopilot.toml --tlog sim.tlog
 """
 
 import argparse
@@ -17,9 +19,19 @@ from typing import Any, Final
 from rich.console import Console
 from rich.markup import escape
 
+from ahrs_service.app import toml_file, twin_file
 from ahrs_service.app.config_file import ConfigError
 from ahrs_service.app.options import positive
-from ahrs_service.simulation.scenario import FASTEST_HZ, SCENARIOS, Flight, make_flight
+from ahrs_service.app.retrace_recording import flight_along
+from ahrs_service.simulation.imu import Imu, consumer_grade
+from ahrs_service.simulation.scenario import (
+    FASTEST_HZ,
+    SCENARIOS,
+    Flight,
+    fly_scenario,
+    make_flight,
+)
+from ahrs_service.simulation.script import Script
 from links.autopilot import DEFAULT_RATES_HZ, SimulatedAutopilot
 from links.autopilot_messages import UNIX_START_US
 from links.errors import LinkError
@@ -45,6 +57,7 @@ RECORDED_RATES_HZ: Final[Mapping[str, float]] = {
 }
 """Messages of a flight written to a file [Hz]: those that the service asks for, and the truth."""
 
+DEFAULT_SECONDS: Final = 60.0
 EXIT_DONE: Final = 0
 
 
@@ -64,8 +77,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--tlog", type=Path, metavar="OUT", help="write the flight here instead, at once"
     )
     about = "; ".join(f"{name}: {scenario.text}" for name, scenario in SCENARIOS.items())
-    parser.add_argument("--scenario", default="flight", metavar="NAME", help=about)
-    parser.add_argument("--seconds", type=positive, default=60.0, help="length of the flight")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--scenario", default="flight", metavar="NAME", help=about)
+    what.add_argument(
+        "--script", type=Path, metavar="FILE.toml", help="fly these phases, see configs/flights/"
+    )
+    what.add_argument(
+        "--from",
+        dest="recording",
+        type=Path,
+        metavar="RECORDING",
+        help="fly along the reference of a .tlog, .bin or .ulg: its attitude and velocity",
+    )
+    parser.add_argument(
+        "--twin",
+        type=Path,
+        metavar="TWIN.toml",
+        help="the sensor aboard and the effects on it, see configs/twins/; without it the "
+        "scenario's own, along a recording an ideal one",
+    )
+    parser.add_argument(
+        "--seconds", type=positive, help="length of a scenario's flight (default: 60)"
+    )
     parser.add_argument("--seed", type=int, default=1, help="another seed is another flight")
     parser.add_argument(
         "--rate",
@@ -168,11 +201,28 @@ def _rates(args: argparse.Namespace) -> dict[str, float]:
     return {**DEFAULT_RATES_HZ, "RAW_IMU": args.truth, "SIM_STATE": args.truth}
 
 
+def _flight(args: argparse.Namespace, out: Console) -> Flight:
+    """Return the flight asked for; ValueError or ConfigError where it cannot be."""
+    imu = None if args.twin is None else twin_file.read(args.twin)
+    if args.recording is not None:
+        flight, notes = flight_along(args.recording, imu or Imu(), args.rate, args.seed)
+        for note in notes:
+            out.print(escape(note), highlight=False, soft_wrap=True)
+        return flight
+    if args.script is None:
+        seconds = args.seconds or DEFAULT_SECONDS
+        return make_flight(args.scenario, seconds, args.seed, args.rate, imu)
+    script = toml_file.read_as(args.script, Script)
+    scenario = script.scenario(imu or consumer_grade())
+    seconds = args.seconds or script.seconds
+    return fly_scenario(args.script.stem, scenario, seconds, args.seed, args.rate)
+
+
 def run(args: argparse.Namespace) -> int:
     """Fly or write the flight; return the exit code."""
     out = Console(stderr=True)
     try:
-        flight = make_flight(args.scenario, args.seconds, args.seed, args.rate)
+        flight = _flight(args, out)
         autopilot = SimulatedAutopilot(flight.rows, flight.rate_hz, _rates(args))
     except ValueError as error:
         raise ConfigError(str(error)) from None

@@ -125,14 +125,14 @@ def derivative(
     step = parameter.step or _RELATIVE_STEP * max(abs(float(value)), 1.0)
     sides = []
     for sign in (0.5, -0.5):
-        moved = value.copy()
+        moved = np.array(value)
         moved[number.index] += sign * step
         sides.append(term.effect.add(columns, term.values | {parameter.name: moved}))
     return project(_difference(sides[0], sides[1], step))
 
 
 def _moved(terms: tuple[Term, ...], numbers: list[Number], by: Floats) -> tuple[Term, ...]:
-    values = [{name: value.copy() for name, value in term.values.items()} for term in terms]
+    values = [{name: np.array(value) for name, value in term.values.items()} for term in terms]
     for number, change in zip(numbers, by, strict=True):
         array, parameter = values[number.term][number.parameter.name], number.parameter
         old = float(array[number.index])

@@ -15,7 +15,7 @@ LEAST_REFERENCES: Final = 200
 """Four seconds at 50 Hz: less holds no bias apart from noise."""
 
 _JUMP_SIGMA: Final = 9.0
-_NEIGHBOURS: Final = 9
+_NEIGHBOURS: Final = 5
 _LONGEST_EXCURSION_S: Final = 20.0
 _RETURN_SHARE: Final = 0.4
 _STILL_M_S: Final = 1e-9
@@ -116,11 +116,13 @@ def jumps(increments: Floats) -> npt.NDArray[np.bool_]:
     """Return which of the increments [N, M] of a misfit are jumps of the reference.
 
     A jump stands alone among its neighbours, nine robust sigmas away from their median: of
-    Gaussian noise one in 1e18 does. A real misfit of the IMU lasts longer than one interval.
+    Gaussian noise one in 1e18 does. A real misfit of the IMU lasts longer than one interval, so
+    sigma is that of second differences (of white noise sqrt(6) of it), which leave it out.
     """
     size = (min(_NEIGHBOURS, len(increments) | 1), 1)
     apart = np.abs(increments - median_filter(increments, size=size, mode="nearest"))
-    sigma = 1.4826 * np.median(apart, axis=0)
+    bends = np.diff(increments, 2, axis=0) if len(increments) > 2 else increments
+    sigma = 1.4826 * np.median(np.abs(bends), axis=0) / np.sqrt(6.0)
     scale = np.maximum(sigma, np.finfo(np.float64).tiny)
     return np.asarray((apart > _JUMP_SIGMA * scale).any(axis=1))
 

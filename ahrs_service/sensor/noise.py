@@ -2,9 +2,11 @@
 
 import math
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
 import numpy as np
 import numpy.typing as npt
+from annotated_types import Ge, Gt
 
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats
@@ -18,10 +20,11 @@ class TriadNoise:
     `wander` 1-sigma [unit] and `wander_s` correlation time [s] of a first-order Gauss-Markov bias.
     """
 
-    density: float = 0.0
-    walk: float = 0.0
-    wander: float = 0.0
-    wander_s: float = 100.0
+    __pydantic_config__: ClassVar = {"extra": "forbid"}
+    density: Annotated[float, Ge(0.0)] = 0.0
+    walk: Annotated[float, Ge(0.0)] = 0.0
+    wander: Annotated[float, Ge(0.0)] = 0.0
+    wander_s: Annotated[float, Gt(0.0)] = 100.0
 
 
 @kernel

@@ -2,9 +2,10 @@
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Annotated, ClassVar, Final
 
 import numpy as np
+from annotated_types import Ge, Gt, Le
 
 from ahrs_service.records import Floats, Rows
 from ahrs_service.rotation import inverse_columns, rotate_columns
@@ -36,13 +37,19 @@ def magnetic_field_ut(truth: Rows) -> Floats:
     return rotate_columns(inverse_columns(truth["ned_from_body"]), FIELD_NED_UT)
 
 
+def battery_current_a(throttle: Floats) -> Floats:
+    """Battery current [A]: electronics and, in proportion to the throttle, the motor."""
+    return 1.0 + 25.0 * throttle
+
+
 @dataclass(frozen=True, slots=True)
 class Warmth:
     """Temperatures: ambient at home [degC], self-heating of the box [K], its time constant [s]."""
 
-    ambient_degc: float = 18.0
-    heating_k: float = 15.0
-    time_constant_s: float = 15.0
+    __pydantic_config__: ClassVar = {"extra": "forbid"}
+    ambient_degc: Annotated[float, Ge(-80.0), Le(85.0)] = 18.0
+    heating_k: Annotated[float, Ge(-80.0), Le(80.0)] = 15.0
+    time_constant_s: Annotated[float, Gt(0.0)] = 15.0
 
     def ambient(self, truth: Rows) -> Floats:
         """Air temperature [N] [degC], falling with altitude."""
@@ -65,11 +72,16 @@ class Propeller:
     slower than it shakes, it aliases as it does in a real recording.
     """
 
-    accel_m_s2: float = 0.8
-    gyro_rad_s: float = 0.02
-    idle_hz: float = 28.0
-    full_hz: float = 118.0
+    __pydantic_config__: ClassVar = {"extra": "forbid"}
+    accel_m_s2: Annotated[float, Ge(0.0)] = 0.8
+    gyro_rad_s: Annotated[float, Ge(0.0)] = 0.02
+    idle_hz: Annotated[float, Gt(0.0)] = 28.0
+    full_hz: Annotated[float, Gt(0.0)] = 118.0
     harmonics: tuple[float, ...] = (0.6, 1.0, 0.3)
+
+    def level_m_s2(self, throttle: Floats) -> Floats:
+        """Return the 1-sigma of the specific force on each axis [N] [m/s^2]."""
+        return self.accel_m_s2 * _size(throttle)
 
     def shake(
         self, throttle: Floats, rate_hz: float, rng: np.random.Generator
@@ -77,7 +89,7 @@ class Propeller:
         """Return the vibration of rate [rad/s] and specific force [m/s^2], both [N, 3]."""
         shaft_hz = self.idle_hz + (self.full_hz - self.idle_hz) * throttle
         turn = 2.0 * np.pi * np.cumsum(shaft_hz) / rate_hz
-        size = 0.1 + 0.9 * throttle**2
+        size = _size(throttle)
         total = np.zeros((len(throttle), 6))
         for k, share in enumerate(self.harmonics, start=1):
             phase = rng.uniform(0.0, 2.0 * np.pi, 6)
@@ -85,3 +97,8 @@ class Propeller:
         # A sine of amplitude 1 has a standard deviation of sqrt(1/2).
         total *= size[:, None] * math.sqrt(2.0 / sum(share**2 for share in self.harmonics))
         return self.gyro_rad_s * total[:, :3], self.accel_m_s2 * total[:, 3:]
+
+
+def _size(throttle: Floats) -> Floats:
+    """Return the vibration relative to that at full throttle: thrust grows with its square."""
+    return 0.1 + 0.9 * throttle**2

@@ -1,35 +1,62 @@
-"""The simulated IMU: true motion and vibration through the forward model, plus noise."""
+"""The simulated IMU: true motion, the effects of a twin and vibration through the forward model.
+
+    reading = forward(u + what the effects add to u + vibration) + noise
+
+u is the ideal reading at the reference point.
+"""
 
 import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ahrs_service.effects.base import Effect, Values, apply
 from ahrs_service.records import Floats, Rows
 from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.forward import forward_columns
 from ahrs_service.sensor.noise import TriadNoise, sensor_noise
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration, Vector, coefficients
+from ahrs_service.simulation.acting import columns_of, needed
 from ahrs_service.simulation.environment import Propeller
 
 
 @dataclass(frozen=True, slots=True)
 class Imu:
-    """A sensor: its calibration, its noise, and the propeller that shakes it (None for none)."""
+    """A sensor and what acts on it: the twin of a real one.
+
+    Its calibration, its noise, the propeller that shakes it (None for none), and physical effects
+    with their parameters.
+    """
 
     calibration: Calibration = field(default_factory=Calibration.ideal)
     gyro_noise: TriadNoise = field(default_factory=TriadNoise)
     accel_noise: TriadNoise = field(default_factory=TriadNoise)
     propeller: Propeller | None = None
+    effects: tuple[tuple[Effect, Values], ...] = ()
 
     def measure(
-        self, truth: Rows, temperature_degc: Floats, rate_hz: float, rng: np.random.Generator
+        self,
+        truth: Rows,
+        temperature_degc: Floats,
+        rate_hz: float,
+        rng: np.random.Generator,
+        current_a: Floats | None = None,
+        vibration_m_s2: Floats | None = None,
     ) -> tuple[Floats, Floats]:
         """Return what the sensor gives: rate [N, 3] [rad/s] and specific force [N, 3] [m/s^2].
 
-        `truth` [N] TRUTH_DTYPE at `rate_hz`, `temperature_degc` [N] of the sensor.
+        `truth` [N] TRUTH_DTYPE at `rate_hz`, `temperature_degc` [N] of the sensor, `current_a` [N]
+        of the battery; `vibration_m_s2` [N] 1-sigma, where it is known better than by the
+        propeller. ValueError names an effect and what it needs that is not known.
         """
         rate, force = truth["rate_rad_s"], truth["force_m_s2"]
+        if self.effects:
+            if vibration_m_s2 is None:
+                quiet = np.zeros(len(truth))
+                level = self.propeller.level_m_s2(truth["throttle"]) if self.propeller else quiet
+                vibration_m_s2 = level
+            columns = columns_of(truth, temperature_degc, rate_hz, current_a, vibration_m_s2)
+            rate, force = apply(columns, needed(self.effects, columns))
         if self.propeller is not None:
             rate_shake, force_shake = self.propeller.shake(truth["throttle"], rate_hz, rng)
             rate, force = rate + rate_shake, force + force_shake

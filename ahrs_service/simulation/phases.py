@@ -3,9 +3,10 @@
 import math
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Final
+from typing import Annotated, ClassVar, Final
 
 import numpy as np
+from annotated_types import Ge, Gt, Le
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.records import Floats
@@ -24,6 +25,9 @@ _PARKED_ROLL: Final = math.radians(-1.0)
 _PARKED_PITCH: Final = math.radians(3.0)
 _CRUISE_ATTACK: Final = math.radians(4.0)
 _LARGEST_ATTACK: Final = math.radians(12.0)
+
+
+_Angle = Annotated[float, Ge(-70.0), Le(70.0)]
 
 
 class Channel(IntEnum):
@@ -48,13 +52,14 @@ class Phase:
     given back where `is_closing`; `is_elastic` phases take up the length of the flight.
     """
 
+    __pydantic_config__: ClassVar = {"extra": "forbid"}
     name: str
-    seconds: float
-    roll_deg: float = 0.0
-    climb_deg: float = 0.0
-    speed_m_s: float = CRUISE_M_S
-    throttle: float = 0.6
-    wave_deg: float = 0.0
+    seconds: Annotated[float, Gt(0.0), Le(86_400.0)]
+    roll_deg: _Angle = 0.0
+    climb_deg: _Angle = 0.0
+    speed_m_s: Annotated[float, Ge(0.0), Le(100.0)] = CRUISE_M_S
+    throttle: Annotated[float, Ge(0.0), Le(1.0)] = 0.6
+    wave_deg: _Angle = 0.0
     is_airborne: bool = True
     is_closing: bool = False
     is_elastic: bool = True
@@ -122,14 +127,21 @@ def seed_flight_phases(seconds: float) -> tuple[Phase, ...]:
     )
 
 
-def _stretched(phases: tuple[Phase, ...], seconds: float) -> tuple[Phase, ...]:
+def scripted_phases(phases: tuple[Phase, ...]) -> tuple[Phase, ...]:
+    """Return a plan of phases as long as they say, the altitude of the closing ones given back."""
+    return _stretched(phases, sum(phase.seconds for phase in phases), least_s=0.0)
+
+
+def _stretched(
+    phases: tuple[Phase, ...], seconds: float, least_s: float = SHORTEST_S
+) -> tuple[Phase, ...]:
     """Stretch the elastic phases to `seconds` and set the path angle of the closing ones."""
-    seconds = max(seconds, SHORTEST_S)
+    seconds = max(seconds, least_s)
     elastic = sum(phase.seconds for phase in phases if phase.is_elastic)
     fixed = sum(phase.seconds for phase in phases if not phase.is_elastic)
     altitude_m, plan = 0.0, []
     for phase in phases:
-        share = (seconds - fixed) / elastic if phase.is_elastic else 1.0
+        share = (seconds - fixed) / elastic if phase.is_elastic and elastic > 0.0 else 1.0
         way_m = CRUISE_M_S * phase.seconds * share
         climb_deg = phase.climb_deg
         if phase.is_closing:

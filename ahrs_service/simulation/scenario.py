@@ -37,12 +37,14 @@ FLIGHT_DTYPE: Final[np.dtype[Any]] = np.dtype(
         ("pitot_pa", "f4"),
         ("estimate_ned_from_body", "f8", 4),
         ("vibration_m_s2", "f4", 3),
+        ("current_a", "f4"),
     ]
 )
 """The truth of a flight and what its sensors give: what links.autopilot sends.
 
 `gyro_rad_s` and `accel_m_s2` come from the IMU, `pitot_pa` is the dynamic pressure,
-`estimate_ned_from_body` the autopilot's own estimate, `vibration_m_s2` that of two seconds.
+`estimate_ned_from_body` the autopilot's own estimate, `vibration_m_s2` that of two seconds,
+`current_a` the battery's.
 """
 
 FASTEST_HZ: Final = 1000.0
@@ -53,7 +55,8 @@ _VIBRATION_S: Final = 2.0
 class Scenario:
     """What is flown, by which sensor, in which weather; with a `bench`, what is done there.
 
-    The unit warms up by `heating_k` [K] while it runs.
+    The unit warms up by `heating_k` [K] with a quarter of the flight as its time constant, or as
+    `warmth` says.
     """
 
     text: str
@@ -63,6 +66,7 @@ class Scenario:
     wind_m_s: float = 4.0
     bench: Swing | PoseSequence | None = None
     heating_k: float = 15.0
+    warmth: environment.Warmth | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,11 +142,22 @@ def make_flight(
     """
     if name not in SCENARIOS:
         raise ValueError(f"scenario = {name!r}: choose one of {', '.join(SCENARIOS)}")
+    return fly_scenario(name, SCENARIOS[name], seconds, seed, rate_hz, imu)
+
+
+def fly_scenario(
+    name: str,
+    scenario: Scenario,
+    seconds: float,
+    seed: int,
+    rate_hz: float,
+    imu: Imu | None = None,
+) -> Flight:
+    """Return the flight of a scenario that may be the caller's own, see `make_flight`."""
     if not (0.0 < seconds < math.inf):
         raise ValueError(f"seconds = {seconds:g}: give the length of the flight, such as 60")
     if not 1.0 <= rate_hz <= FASTEST_HZ:
         raise ValueError(f"rate = {rate_hz:g} Hz: choose 1 to {FASTEST_HZ:g} Hz")
-    scenario = SCENARIOS[name]
     imu = scenario.imu if imu is None else imu
     phases = scenario.phases(seconds)
     # One generator per part: a change in one does not shift the dice of the others.
@@ -155,7 +170,9 @@ def make_flight(
         curves = command_curves(phases, scenario.turbulence, dice[0])
         wind = scenario.wind_m_s * np.array([math.cos(bearing), math.sin(bearing), 0.0])
         truth = fly(curves, Bumps.draw(dice[1]), wind, float(heading), time_s)
-    warmth = environment.Warmth(heating_k=scenario.heating_k, time_constant_s=0.25 * seconds)
+    warmth = scenario.warmth or environment.Warmth(
+        heating_k=scenario.heating_k, time_constant_s=0.25 * seconds
+    )
     rows = _sense(truth, imu, warmth, rate_hz, dice[2])
     rows["estimate_ned_from_body"] = _estimate(truth, rate_hz, dice[3])
     return Flight(name, seed, rate_hz, phases, imu.calibration, rows)
@@ -170,10 +187,11 @@ def _sense(
     for name in TRUTH_DTYPE.names or ():
         rows[name] = truth[name]
     temperature = warmth.of_imu(truth, rate_hz)
-    gyro, accel = imu.measure(truth, temperature, rate_hz, rng)
+    current_a = environment.battery_current_a(truth["throttle"])
+    gyro, accel = imu.measure(truth, temperature, rate_hz, rng, current_a)
     altitude = environment.HOME_ALTITUDE_M - truth["position_ned_m"][:, 2]
     rows["gyro_rad_s"], rows["accel_m_s2"] = gyro, accel
-    rows["imu_degc"] = temperature
+    rows["imu_degc"], rows["current_a"] = temperature, current_a
     rows["air_degc"] = warmth.ambient(truth) + 6.0
     rows["mag_ut"] = environment.magnetic_field_ut(truth) + rng.normal(0.0, 0.3, (count, 3))
     rows["pressure_pa"] = environment.pressure_pa(altitude) + rng.normal(0.0, 3.0, count)

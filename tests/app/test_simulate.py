@@ -4,16 +4,23 @@ import signal
 import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ahrs_service.app import simulate
 from ahrs_service.app.cli import main
-from ahrs_service.simulation.scenario import make_flight
+from ahrs_service.app.toml_file import read_as
+from ahrs_service.rotation import euler_columns
+from ahrs_service.simulation.imu import consumer_grade
+from ahrs_service.simulation.scenario import fly_scenario, make_flight
+from ahrs_service.simulation.script import Script
 from links.mavlink_codec import Decoder, Encoder, dialect
 from links.readings import recording_from_tlog
 from links.tlog import read_tlog
+
+EXAMPLE_SCRIPT = Path(__file__).parents[2] / "configs" / "flights" / "warm_up_and_turns.toml"
 
 
 def test_the_written_flight_is_whole_and_the_same_each_time(simulated_tlog, tmp_path):
@@ -132,6 +139,44 @@ def test_a_signal_ends_it_with_its_report():
 def test_what_cannot_be_flown_is_told(options, words, tmp_path, capsys):
     assert main(["simulate", "--tlog", str(tmp_path / "x.tlog"), *options]) == 2
     assert words in capsys.readouterr().err
+
+
+def test_a_script_is_flown_phase_by_phase(tmp_path):
+    script = read_as(EXAMPLE_SCRIPT, Script)
+    flight = fly_scenario("script", script.scenario(consumer_grade()), script.seconds, 1, 50.0)
+    assert flight.rows["time_s"][-1] == script.seconds == 199.0
+    ends = np.cumsum([phase.seconds for phase in script.phases])
+    for phase, end_s in zip(script.phases, ends, strict=True):
+        middle = flight.rows[round((end_s - 0.5 * phase.seconds) * 50.0)]
+        assert middle["throttle"] == pytest.approx(phase.throttle, abs=1e-3)
+        roll = np.degrees(euler_columns(middle["ned_from_body"][None])[0, 0])
+        assert roll == pytest.approx(phase.roll_deg, abs=6.0)
+    assert abs(flight.rows["position_ned_m"][-1, 2]) < 10.0
+    path = tmp_path / "script.tlog"
+    assert main(["simulate", "--script", str(EXAMPLE_SCRIPT), "--tlog", str(path)]) == 0
+    recording = recording_from_tlog(path)
+    assert recording.message_counts["HIGHRES_IMU"] == 199 * 200 + 1
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("phases = []", "phases = []: Tuple should have at least 1 item"),
+        ("wind = 3.0\n[[phases]]\nname='a'\nseconds=3.0", "wind: no such field"),
+        ("[[phases]]\nname = 'a'\nseconds = 5.0\nroll_deg = 90.0", "phases.0.roll_deg = 90.0"),
+        ("[[phases]]\nname = 'a'", "phases.0.seconds is missing"),
+        ("[[phases]", "not valid TOML"),
+    ],
+)
+def test_a_script_that_cannot_be_flown_is_told(text, words, tmp_path, capsys):
+    script = tmp_path / "mine.toml"
+    script.write_text(text)
+    out = tmp_path / "x.tlog"
+    assert main(["simulate", "--script", str(script), "--tlog", str(out)]) == 2
+    message = capsys.readouterr().err
+    assert str(script) in message
+    assert words in message
+    assert not out.exists()
 
 
 def test_a_file_that_cannot_be_written_is_named(tmp_path, capsys):

@@ -42,6 +42,7 @@ from ahrs_service.rotation import euler_columns, inverse_columns, multiply_colum
 from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.settings import FusionSettings, GateBudget, Settings
 from ahrs_service.simulation.phases import CRUISE_M_S
+from ahrs_service.simulation.rate_table import Swing
 from ahrs_service.simulation.samples import samples_of
 from ahrs_service.simulation.scenario import SCENARIOS, Flight, make_flight
 
@@ -96,8 +97,8 @@ def largest_errors(flight: Flight, estimates: Rows, late_s: float) -> tuple[floa
 
     The reference is `late_s` behind: what it says was true so much earlier.
     """
-    swing = SCENARIOS[flight.scenario].swing
-    if swing is None:
+    swing = SCENARIOS[flight.scenario].bench
+    if not isinstance(swing, Swing):
         raise ValueError(f"{flight.scenario} has no swing")
     begin_s, end_s = np.cumsum([phase.seconds for phase in flight.phases])[:2]
     time_s = flight.rows["time_s"]
