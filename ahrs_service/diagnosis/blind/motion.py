@@ -120,7 +120,7 @@ def _swing(
 
 def table_path(rng: np.random.Generator, seconds: float) -> TablePath:
     """Draw rests of 2..10 s, quarter and half turns, and swings of up to 2.3 rad/s."""
-    turns = []
+    turns: list[Turn] = []
     start = rng.uniform(4.0, 8.0)
     tilt = rng.normal(0.0, 0.02, 3)
     while True:

@@ -64,19 +64,19 @@ def misalignment(sensor: str) -> Draw:
 
 
 def mounting_rotation(rng: np.random.Generator, kind: str, scene: Scene) -> Hidden:
-    """Both triads turned: the reading is R(-v) u, exactly."""
+    """Both triads turned: the reading is R(v) u, exactly."""
     turn = axes(rng, 0.008)
 
     def signals(scene: Scene, size: float) -> Signals:
         half = 0.5 * size * turn
         angle = float(np.linalg.norm(half))
         q = np.concatenate([[np.cos(angle)], np.sinc(angle / np.pi) * half])
-        back = inverse_columns(q)[None]
+        turned = q[None]
         w, f = scene.motion.rate_rad_s, scene.motion.force_m_s2
-        return rotate_columns(back, w) - w, rotate_columns(back, f) - f
+        return rotate_columns(turned, w) - w, rotate_columns(turned, f) - f
 
     def params(size: float) -> dict[str, Any]:
-        return {"rotvec_rad": (size * turn).tolist(), "meaning": "reading = R(-rotvec) u"}
+        return {"rotvec_rad": (size * turn).tolist(), "meaning": "reading = R(rotvec) u"}
 
     return Hidden("imu_mounting_rotation", signals, params)
 

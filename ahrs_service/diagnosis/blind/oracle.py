@@ -28,7 +28,7 @@ _TRIALS: Final = 40
 def gain(signals: Signals, law: NoiseLaw, rate_hz: float) -> float:
     """Return the oracle's expected gain for signals of gyro and accelerometer [nats]."""
     count = len(signals[0])
-    frequency = np.arange(count) * rate_hz / (2.0 * count)
+    frequency = np.arange(count, dtype=np.float64) * (rate_hz / (2.0 * count))
     total = 0.0
     for values, psd in zip(
         signals, (law.gyro_psd(frequency), law.accel_psd(frequency)), strict=True
