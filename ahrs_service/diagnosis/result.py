@@ -1,0 +1,187 @@
+"""What a diagnosis says, as frozen records; `as_json` gives a report of ahrs-mismatch/1."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Final, Literal
+
+from ahrs_service.records import Floats
+
+SCHEMA: Final = "ahrs-mismatch/1"
+
+Verdict = Literal["no_mismatch", "explained", "unexplained"]
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """A span of the recording [s on its clock] and what is special there."""
+
+    t0_s: float
+    t1_s: float
+    regime: str
+
+
+@dataclass(frozen=True, slots=True)
+class Estimated:
+    """A parameter: number or list of its shape, 1-sigma of the same shape, unit."""
+
+    value: Any
+    std: Any
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """The next best effect for the same misfit and its log evidence."""
+
+    effect: str
+    log_evidence: float
+
+
+@dataclass(frozen=True, slots=True)
+class Holdout:
+    """What a finding gains on blocks of the recording that it was not fitted to.
+
+    `log_likelihood_gain` [nats]; rms of the residual of the triad that the finding acts on, per
+    axis [rad/s or m/s^2]: of all of it, and of what is slower than 0.05 Hz.
+    """
+
+    log_likelihood_gain: float
+    rms_before: Vector
+    rms_after: Vector
+    low_frequency_rms_before: Vector
+    low_frequency_rms_after: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One effect that was left out; `alike` the ids that this recording cannot tell apart."""
+
+    effect: str
+    alike: tuple[str, ...]
+    axes: tuple[str, ...]
+    where: tuple[Where, ...]
+    parameters: Mapping[str, Estimated]
+    p_value: float
+    log_evidence: float
+    rival: Rival | None
+    holdout: Holdout
+    explanation: str
+    separating_manoeuvre: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Unexplained:
+    """Something real that no effect of the catalogue explains: `channel` as accel_z."""
+
+    channel: str
+    depends_on: tuple[str, ...]
+    where: tuple[Where, ...]
+    p_value: float
+
+
+@dataclass(frozen=True, slots=True)
+class NotObservable:
+    """An effect that this recording cannot show, and why."""
+
+    effect: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class FreeRun:
+    """Attitude error after 60 s of the gyro alone [deg], rms over starts, before and after."""
+
+    before: float
+    after: float
+
+
+@dataclass(frozen=True, slots=True)
+class Covariate:
+    """Residual of one channel against one covariate, for a picture.
+
+    `edges` [B+1] of the bins, `mean` [B] of the residual in each, `null_std` [B] what the noise
+    alone gives it, `fitted` [B] what the findings explain. `p_value` of the whole dependence.
+    """
+
+    channel: str
+    covariate: str
+    unit: str
+    edges: Floats
+    mean: Floats
+    null_std: Floats
+    fitted: Floats
+    p_value: float
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualSeries:
+    """Residuals over time for pictures: `time_s` [N], before and after [N, 6] (gyro, accel)."""
+
+    time_s: Floats
+    before: Floats
+    after: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Whiteness:
+    """Tests of the whitened innovations [N, 6]: p-values per channel, and of all together.
+
+    `ljung_box` over 20 lags, `normality` (Jarque-Bera after 5-sigma glitches are set aside).
+    """
+
+    ljung_box: tuple[float, ...]
+    normality: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """The whole answer. `noise` the fitted hyperparameters by name."""
+
+    verdict: Verdict
+    findings: tuple[Finding, ...]
+    unexplained: tuple[Unexplained, ...]
+    not_observable: tuple[NotObservable, ...]
+    holdout: Holdout | None
+    free_run: FreeRun | None
+    noise: Mapping[str, float] = field(default_factory=dict)
+    whiteness: Whiteness | None = None
+    covariates: tuple[Covariate, ...] = ()
+    series: ResidualSeries | None = None
+    notes: tuple[str, ...] = ()
+
+
+def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return the report as ahrs-mismatch/1 lays it down; pictures' numbers stay out."""
+    held_out: dict[str, Any] = {}
+    if diagnosis.holdout is not None:
+        held_out |= asdict(diagnosis.holdout)
+    if diagnosis.free_run is not None:
+        held_out["free_run_attitude_error_60s_deg"] = asdict(diagnosis.free_run)
+    return {
+        "schema": SCHEMA,
+        "verdict": diagnosis.verdict,
+        "effects": [_finding(finding) for finding in diagnosis.findings],
+        "unexplained": [asdict(item) for item in diagnosis.unexplained],
+        "not_observable": [asdict(item) for item in diagnosis.not_observable],
+        "holdout": held_out,
+        "noise": dict(diagnosis.noise),
+        "notes": list(diagnosis.notes),
+    }
+
+
+def _finding(finding: Finding) -> dict[str, Any]:
+    row = {
+        "effect": finding.effect,
+        "class": list(finding.alike),
+        "axes": list(finding.axes),
+        "where": [asdict(where) for where in finding.where],
+        "parameters": {name: asdict(value) for name, value in finding.parameters.items()},
+        "p_value": finding.p_value,
+        "log_evidence": finding.log_evidence,
+        "rival": None if finding.rival is None else asdict(finding.rival),
+        "holdout": asdict(finding.holdout),
+        "explanation": finding.explanation,
+        "separating_manoeuvre": finding.separating_manoeuvre,
+    }
+    return row

@@ -1,0 +1,44 @@
+"""A range smaller than the motion."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ahrs_service.effects.base import Addition, Columns, Effect, Parameter, Values
+
+
+@dataclass(frozen=True)
+class Saturation(Effect):
+    """clip(u, -limit, limit) - u."""
+
+    name: ClassVar[str] = "saturation"
+    title: ClassVar[str] = "reading cut at the end of its range"
+    equation: ClassVar[str] = "clip(u, -limit, limit) - u"
+    excited_by: ClassVar[str] = "rates or accelerations beyond the range"
+    taken_for: ClassVar[tuple[str, ...]] = ("scale_nonlinearity", "scale_factor")
+    separated_by: ClassVar[str] = "repeat the hardest manoeuvre at half its strength"
+    has_inverse: ClassVar[bool] = False
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Ranges of 250 to 2000 deg/s and 2 to 16 g, less where a driver scales wrongly."""
+        is_gyro = self.triad == "gyro"
+        unit, largest = ("rad/s", 35.0) if is_gyro else ("m/s^2", 160.0)
+        return (
+            Parameter(
+                "limit",
+                unit,
+                (),
+                largest,
+                "MPU-6000 data sheet",
+                neutral=np.inf,
+                grid=(0.5, 0.6, 0.7, 0.78, 0.85, 0.91, 0.96),
+                bounds=(0.0, np.inf),
+            ),
+        )
+
+    def add(self, columns: Columns, values: Values) -> Addition:
+        """Return what is cut off."""
+        u, limit = self.ideal(columns), float(values["limit"])
+        return self.on_triad(np.clip(u, -limit, limit) - u)
