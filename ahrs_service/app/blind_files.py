@@ -1,12 +1,16 @@
-"""Blind recordings as files: NAME.tlog and NAME.truth.json."""
+"""Blind recordings as files: NAME.tlog, NAME.truth.json, and the hash that seals the truths."""
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any, Final
 
 from ahrs_service.diagnosis.blind.case import Case
 from ahrs_service.diagnosis.blind.messages import tables
+from links.errors import RecordingError
 from links.frame_columns import MessageColumns, tlog_bytes
+
+TRUTH_SUFFIX: Final = ".truth.json"
 
 _EPOCH_US: Final = 1_750_000_000_000_000
 """Wall clock of every blind recording's boot [us since 1970]: a seed gives the same bytes."""
@@ -21,20 +25,38 @@ def case_bytes(case: Case) -> bytes:
     return tlog_bytes(columns, system=1, component=1)
 
 
-def truth_bytes(truth: dict[str, Any]) -> bytes:
-    """Return the truth as it is hashed and written."""
-    return json.dumps(truth, indent=1, sort_keys=True).encode()
+def write_case(recordings: Path, truths: Path, case: Case) -> None:
+    """Write the case's .tlog to one folder and its truth to another."""
+    name = case.request.name
+    (recordings / f"{name}.tlog").write_bytes(case_bytes(case))
+    text = json.dumps(case.truth, indent=1)
+    (truths / f"{name}{TRUTH_SUFFIX}").write_text(text, encoding="utf-8")
 
 
-def write_recording(folder: Path, case: Case) -> Path:
-    """Write the case's .tlog, without its truth; return its path."""
-    path = folder / f"{case.request.name}.tlog"
-    path.write_bytes(case_bytes(case))
-    return path
+def seal(truths: Path) -> str:
+    """Return the SHA-256 over the truth files of a folder: names and bytes, in order of names."""
+    digest = hashlib.sha256()
+    for path in sorted(truths.glob(f"*{TRUTH_SUFFIX}")):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
 
 
-def write_truth(folder: Path, name: str, truth: dict[str, Any]) -> Path:
-    """Write NAME.truth.json; return its path."""
-    path = folder / f"{name}.truth.json"
-    path.write_bytes(truth_bytes(truth))
-    return path
+def read_truth(path: Path) -> dict[str, Any]:
+    """Read a truth file; RecordingError says what is wrong with it."""
+    try:
+        truth = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise RecordingError(f"{path}: {error}; a truth is JSON beside its .tlog") from error
+    if not isinstance(truth, dict) or not {"kind", "level", "effects"} <= truth.keys():
+        raise RecordingError(f"{path}: no kind, level and effects; see shared mismatch cases")
+    return truth
+
+
+def recordings(folder: Path) -> list[Path]:
+    """Return the recordings of a folder that have a truth beside them, in order of names."""
+    found = sorted(
+        path for path in folder.glob("*.tlog") if path.with_name(path.stem + TRUTH_SUFFIX).is_file()
+    )
+    if not found:
+        raise RecordingError(f"{folder}: no NAME.tlog with NAME{TRUTH_SUFFIX} beside it")
+    return found

@@ -1,18 +1,22 @@
 """One sealed case: what is asked for, what was made, and its truth as the cases' files have it."""
 
-import math
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
 
-from ahrs_service.diagnosis.blind.catalogue import HIDEABLE
+from ahrs_service.diagnosis.blind.hiding import (
+    Part,
+    hide,
+    hide_above,
+    level_near,
+    silence,
+    total,
+)
 from ahrs_service.diagnosis.blind.motion import Path, table_path
 from ahrs_service.diagnosis.blind.noise import NoiseLaw, Wander, draw_law, draw_shake, following
-from ahrs_service.diagnosis.blind.oracle import LEVEL_NATS, gain, scaled_to
-from ahrs_service.diagnosis.blind.outside_physics import OUTSIDE
-from ahrs_service.diagnosis.blind.physics import Hidden, Scene, Signals
-from ahrs_service.diagnosis.blind.surroundings import airborne, chamber
+from ahrs_service.diagnosis.blind.physics import Scene, Signals
+from ahrs_service.diagnosis.blind.surroundings import Surroundings, airborne, chamber
 from ahrs_service.diagnosis.blind.vehicles import fixed_wing, multirotor
 from ahrs_service.records import Floats
 
@@ -27,12 +31,8 @@ NULLS: Final = (
 )
 """Recordings without any effect: the plain one and what could pass for one."""
 
-KNOWN_TIMES: Final = 10.0
-"""A known effect is this many times larger (rms) than the one concealed beneath it."""
-
-
-FIXED: Final = frozenset({"gyro_earth_rate", "gyro_low_pass", "accel_low_pass"})
-"""Effects that are not scaled: their level is the one that the oracle's gain is near to."""
+CONTROLS: Final = ("another flight", "time reversed", "temperature flipped")
+"""What the covariates of a negative control are: they tell nothing of the sensor any more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,9 @@ class Request:
     """What to make: effect ids to hide (of `OUTSIDE` as `outside:airspeed`), level, seed.
 
     `level` 1..3 sets the oracle's gain of each effect, 0 leaves a data sheet's magnitude; `known`
-    is one more effect, ten times larger than the first; `null` is one of `NULLS`.
+    is one more effect, ten times larger than the first; `null` is one of `NULLS`; `alike` says
+    that the recording cannot tell the effect from others: a class is the right answer; `control`
+    is one of `CONTROLS`.
     """
 
     name: str
@@ -52,19 +54,24 @@ class Request:
     known: str | None = None
     null: str = "plain"
     alike: bool = False
-    """The recording cannot tell the effect from others: a class is the right answer."""
+    control: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A finished case: columns of the sensor [N, 3], of the scene, noise law and truth."""
+    """A finished case: readings [N, 3], scene, noise law and truth.
+
+    `hidden` is the shape of all effects together as the oracle counts it; `reported` the
+    surroundings as the messages tell them.
+    """
 
     request: Request
     scene: Scene
     law: NoiseLaw
     gyro_rad_s: Floats
     accel_m_s2: Floats
-    added: Signals
+    hidden: Signals
+    reported: Surroundings
     truth: dict[str, Any] = field(repr=False)
 
 
@@ -76,126 +83,79 @@ def make(request: Request) -> Case:
 
     """
     rng = np.random.default_rng(request.seed)
-    rate = RATES_HZ[request.kind]
-    scene = _scene(rng, request, rate)
-    law = draw_law(rng, request.kind == "bench", _rms(scene.around.vibration_m_s2))
+    scene = _scene(rng, request)
+    shake = float(np.sqrt(np.mean(scene.around.vibration_m_s2**2)))
+    law = draw_law(rng, request.kind == "bench", shake)
     if request.null == "strong wander":
         law = _wandering(law)
-    parts = [_hide(rng, name, scene, law, request) for name in request.effects]
+    parts = [hide(rng, name, scene, law, request.level) for name in request.effects]
     if request.known is not None:
-        parts.append(_known(rng, request.known, scene, parts[0][1], law, rate))
-    entries = [entry for entry, _ in parts]
-    added = _sum(
-        [signals for entry, signals in parts if not _is_clip(entry["effect"])], len(scene.time_s)
-    )
-    gyro, accel = _read(rng, request, scene, law, added, rate)
-    for entry in entries:
-        if _is_clip(entry["effect"]):
-            reading, limit = _clipped(entry, gyro, accel)
-            np.clip(reading, -limit, limit, out=reading)
+        parts.append(hide_above(rng, request.known, scene, law, parts[0]))
+    count = len(scene.time_s)
+    gyro, accel = _read(rng, request, scene, law, total([p.added for p in parts], count))
+    for part in parts:
+        if part.limit is not None:
+            cut = gyro if part.entry["effect"].startswith("gyro") else accel
+            np.clip(cut, -part.limit, part.limit, out=cut)
+    hidden = total([p.shape for p in parts], count)
+    reported = _reported(scene, request)
+    return Case(request, scene, law, gyro, accel, hidden, reported, _truth(request, parts))
+
+
+def _truth(request: Request, parts: list[Part]) -> dict[str, Any]:
+    level = request.level
+    if level and parts:
+        level = level_near(parts[0].entry["oracle_nats"])
     truth = {
         "kind": request.kind,
-        "level": request.level if request.level == 0 else _level(entries, request.level),
+        "level": level,
         "seed": request.seed,
         "seconds": request.seconds,
-        "imu_rate_hz": rate,
-        "effects": entries or _nothing(request.null),
+        "imu_rate_hz": RATES_HZ[request.kind],
+        "effects": [part.entry for part in parts] or _nothing(request),
     }
-    if request.alike:
-        truth["inseparable"] = True
-    return Case(request, scene, law, gyro, accel, added, truth)
+    return truth | ({"inseparable": True} if request.alike else {})
 
 
-def _clipped(entry: dict[str, Any], gyro: Floats, accel: Floats) -> tuple[Floats, float]:
-    """Return the reading that a saturation cuts, noise and bias included, and its limit."""
-    return gyro if entry["effect"].startswith("gyro") else accel, entry["params"]["limit"]
+def _nothing(request: Request) -> list[dict[str, Any]]:
+    note = request.control or request.null
+    if note == "plain":
+        return []
+    rms = {"gyro": [0.0, 0.0, 0.0], "accel": [0.0, 0.0, 0.0]}
+    return [{"effect": "none", "params": {"note": note}, "signal_rms": rms}]
 
 
-def _level(entries: list[dict[str, Any]], asked: int) -> int:
-    """Return the level asked, or of an effect that nature sizes the one that its gain is near."""
-    if not entries or entries[0]["effect"] not in FIXED:
-        return asked
-    nats = math.log(max(entries[0]["oracle_nats"], 1e-9))
-    near = min(LEVEL_NATS, key=lambda level: abs(nats - math.log(LEVEL_NATS[level])))
-    return near if nats < math.log(2.0 * LEVEL_NATS[1]) else 0
-
-
-def _scene(rng: np.random.Generator, request: Request, rate: int) -> Scene:
+def _scene(rng: np.random.Generator, request: Request) -> Scene:
+    rate = RATES_HZ[request.kind]
     time = np.arange(request.seconds * rate) / rate
-    shake = _silence(len(time))
     path: Path
     if request.kind == "bench":
         path = table_path(rng, request.seconds)
-        around = chamber(rng, time, request.seconds)
-        motion = path.at(time)
-    else:
-        draw = fixed_wing if request.kind == "flight" else multirotor
-        flight = draw(rng, request.seconds)
-        path, motion = flight.path, flight.path.at(time)
-        sags = "outside:voltage" in request.effects or rng.random() < 0.3
-        around = airborne(rng, time, -motion.position_ned_m[:, 2], flight, sags)
-        if request.null == "strong vibration":
-            around.vibration_m_s2[:] *= 2.5
-        shake = draw_shake(rng, around.vibration_m_s2)
-    return Scene(request.kind, time, path, motion, around, shake)
+        around, shake = chamber(rng, time, request.seconds), silence(len(time))
+        return Scene(request.kind, rate, time, path, path.at(time), around, shake)
+    flight = (fixed_wing if request.kind == "flight" else multirotor)(rng, request.seconds)
+    path, motion = flight.path, flight.path.at(time)
+    sags = "outside:voltage" in request.effects or rng.random() < 0.3
+    around = airborne(rng, time, -motion.position_ned_m[:, 2], flight, sags)
+    if request.null == "strong vibration":
+        around = replace(around, vibration_m_s2=2.5 * around.vibration_m_s2)
+    shake = draw_shake(rng, around.vibration_m_s2)
+    return Scene(request.kind, rate, time, path, motion, around, shake)
 
 
-def _draw(rng: np.random.Generator, name: str, scene: Scene) -> Hidden:
-    if name.startswith("outside:") and name.removeprefix("outside:") in OUTSIDE:
-        return OUTSIDE[name.removeprefix("outside:")][0](rng, scene.kind, scene)
-    if name not in HIDEABLE:
-        raise ValueError(f"{name}: no such effect to hide; there are {', '.join(HIDEABLE)}")
-    return HIDEABLE[name][0](rng, scene.kind, scene)
-
-
-def _hide(
-    rng: np.random.Generator, name: str, scene: Scene, law: NoiseLaw, request: Request
-) -> tuple[dict[str, Any], Signals]:
-    """Draw an effect and scale it; the oracle counts its shape without vibration."""
-    hidden, rate = _draw(rng, name, scene), RATES_HZ[request.kind]
-    quiet = scene if _is_clip(name) else replace(scene, shake=_silence(len(scene.time_s)))
-    if request.level == 0:
-        size, shape = 1.0, hidden.signals(quiet, 1.0)
-    else:
-        size, shape = scaled_to(hidden, quiet, law, rate, LEVEL_NATS[request.level])
-    signals = shape if quiet is scene else hidden.signals(scene, size)
-    return _entry(hidden, size, shape, gain(shape, law, rate)), signals
-
-
-def _is_clip(name: str) -> bool:
-    return name.endswith("_saturation")
-
-
-def _silence(count: int) -> Signals:
-    return np.zeros((count, 3)), np.zeros((count, 3))
-
-
-def _known(
-    rng: np.random.Generator, name: str, scene: Scene, deep: Signals, law: NoiseLaw, rate: int
-) -> tuple[dict[str, Any], Signals]:
-    """Hide an effect of the same sensor ten times larger than `deep` about its mean."""
-    hidden = _draw(rng, name, scene)
-    unit = _spread(hidden.signals(scene, 1.0))
-    size = KNOWN_TIMES * _spread(deep) / unit
-    signals = hidden.signals(scene, size)
-    entry = _entry(hidden, size, signals, gain(signals, law, rate))
-    return entry | {"known": True}, signals
-
-
-def _spread(signals: Signals) -> float:
-    """Root of the summed variance of the one sensor that the effect acts on."""
-    return max(float(np.sqrt(values.var(axis=0).sum())) for values in signals)
-
-
-def _entry(hidden: Hidden, size: float, signals: Signals, nats: float) -> dict[str, Any]:
-    entry: dict[str, Any] = {"effect": hidden.effect, "params": hidden.params(size)}
-    if hidden.implies:
-        entry["implies"] = list(hidden.implies)
-    rms = {
-        sensor: np.sqrt(np.mean(values**2, axis=0)).tolist()
-        for sensor, values in zip(("gyro", "accel"), signals, strict=True)
-    }
-    return entry | {"signal_rms": rms, "oracle_nats": nats}
+def _reported(scene: Scene, request: Request) -> Surroundings:
+    """Return the surroundings that the messages tell: the true ones but in a control."""
+    around = scene.around
+    if request.control == "another flight":
+        other = np.random.default_rng((request.seed, 2))
+        return _scene(other, replace(request, control=None)).around
+    if request.control == "time reversed":
+        columns = {name: getattr(around, name)[::-1] for name in around.__slots__}
+        return Surroundings(**columns)
+    if request.control == "temperature flipped":
+        flipped = 2.0 * around.imu_degc.mean() - around.imu_degc
+        return replace(around, imu_degc=flipped, imu_degc_s=-around.imu_degc_s)
+    return around
 
 
 def _wandering(law: NoiseLaw) -> NoiseLaw:
@@ -205,46 +165,22 @@ def _wandering(law: NoiseLaw) -> NoiseLaw:
 
 
 def _read(
-    rng: np.random.Generator,
-    request: Request,
-    scene: Scene,
-    law: NoiseLaw,
-    added: Signals,
-    rate: int,
-) -> tuple[Floats, Floats]:
+    rng: np.random.Generator, request: Request, scene: Scene, law: NoiseLaw, added: Signals
+) -> Signals:
     """Readings of gyro and accelerometer [N, 3]: motion, effects, vibration, bias and noise."""
+    count, step = len(scene.time_s), 1.0 / scene.rate_hz
     readings = []
-    for n, (density, wander, bias) in enumerate(
+    for n, (sensor, density, wander, bias) in enumerate(
         (
-            (law.gyro_density, law.gyro_wander, law.gyro_bias),
-            (law.accel_density, law.accel_wander, law.accel_bias),
+            ("gyro", law.gyro_density, law.gyro_wander, law.gyro_bias),
+            ("accel", law.accel_density, law.accel_wander, law.accel_bias),
         )
     ):
-        ideal = scene.reading(("gyro", "accel")[n]) + added[n] + scene.shake[n]
-        count, step = len(ideal), 1.0 / rate
         if request.null == "wander that follows temperature":
             drift = following(rng, wander, scene.around.imu_degc, step)
         else:
             drift = wander.draw(rng, count, step)
-        white = rng.normal(0.0, density * np.sqrt(0.5 * rate), (count, 3))
+        white = rng.normal(0.0, density * np.sqrt(0.5 * scene.rate_hz), (count, 3))
+        ideal = scene.reading(sensor) + added[n] + scene.shake[n]
         readings.append(ideal + bias + drift + white)
     return readings[0], readings[1]
-
-
-def _nothing(note: str) -> list[dict[str, Any]]:
-    if note == "plain":
-        return []
-    rms = {"gyro": [0.0, 0.0, 0.0], "accel": [0.0, 0.0, 0.0]}
-    return [{"effect": "none", "params": {"note": note}, "signal_rms": rms}]
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def _sum(parts: list[Signals], count: int) -> Signals:
-    gyro, accel = _silence(count)
-    for signals in parts:
-        gyro += signals[0]
-        accel += signals[1]
-    return gyro, accel

@@ -18,7 +18,7 @@ _REFERENCE_HZ: Final = 50
 _HIGHRES_FIELDS: Final = 0b1000000111111
 """HIGHRES_IMU.fields_updated: accelerations, rates, temperature."""
 _PLANE, _COPTER, _ARDUPILOT, _ACTIVE = 1, 2, 3, 4
-_CAMERA_RATIO: Final = 0.04
+_REPORT_SPREAD: Final = 0.04
 """Spread of a VIBRATION report about the true level."""
 
 
@@ -55,7 +55,7 @@ def _highres(case: Case) -> Table:
     for n, axis in enumerate("xyz"):
         fields[f"{axis}acc"] = case.accel_m_s2[:, n]
         fields[f"{axis}gyro"] = case.gyro_rad_s[:, n]
-    fields["temperature"] = np.trunc(case.scene.around.baro_degc * 100.0) / 100.0
+    fields["temperature"] = np.trunc(case.reported.baro_degc * 100.0) / 100.0
     fields["fields_updated"] = _HIGHRES_FIELDS
     return Table("HIGHRES_IMU", time_us, fields)
 
@@ -117,12 +117,12 @@ def _glitch(rng: np.random.Generator, tilt_rad: Floats, velocity_m_s: Floats) ->
 
 def _slow(case: Case, rng: np.random.Generator) -> list[Table]:
     """The messages at 10 Hz and less."""
-    around, request = case.scene.around, case.request
+    around, request = case.reported, case.request
     time_us, every = _times_us(case, 10)
     count = len(time_us)
     speed = np.linalg.norm(case.scene.motion.velocity_ned_m_s[every, :2], axis=1)
     reports = around.vibration_m_s2[every, None] * SHAKE_AXES
-    reports = reports * (1.0 + rng.normal(0.0, _CAMERA_RATIO, (count, 3)))
+    reports = reports * (1.0 + rng.normal(0.0, _REPORT_SPREAD, (count, 3)))
     milli_g = 1000.0 / STANDARD_GRAVITY_M_S2
     scaled: dict[str, Any] = {"time_boot_ms": time_us // 1000}
     for n, axis in enumerate("xyz"):

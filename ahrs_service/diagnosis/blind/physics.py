@@ -26,6 +26,7 @@ class Scene:
     """All that an effect may depend on: `shake` is the vibration as it was drawn."""
 
     kind: str
+    rate_hz: int
     time_s: Floats
     path: Path
     motion: Motion

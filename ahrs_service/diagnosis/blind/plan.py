@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ahrs_service.diagnosis.blind.case import NULLS, Request
+from ahrs_service.diagnosis.blind.case import CONTROLS, NULLS, Request
 from ahrs_service.diagnosis.blind.catalogue import HIDEABLE
 from ahrs_service.diagnosis.blind.outside_physics import OUTSIDE
 
@@ -76,6 +76,23 @@ def plan(count: int, seed: int, seconds: int | None = None) -> list[Request]:
         length = seconds or SECONDS[kind]
         requests.append(Request(f"case_{n + 1:03d}", kind, int(seeds[n]), length, **rest))
     return requests
+
+
+def controls(count: int, seed: int) -> list[Request]:
+    """Return `count` plain nulls whose covariates tell of something else, in turn."""
+    rng = np.random.default_rng((seed, 4))
+    seeds = rng.integers(1, 2**31, count)
+    kinds = tuple(SECONDS)
+    return [
+        Request(
+            f"control_{n + 1:03d}",
+            kinds[n // len(CONTROLS) % len(kinds)],
+            int(seeds[n]),
+            SECONDS[kinds[n // len(CONTROLS) % len(kinds)]],
+            control=CONTROLS[n % len(CONTROLS)],
+        )
+        for n in range(count)
+    ]
 
 
 def _shared_out(count: int) -> dict[str, int]:
