@@ -61,7 +61,7 @@ def test_lag_solves_its_equation():
         t_eval=time,
         rtol=1e-9,
         atol=1e-9,
-        max_step=0.1,
+        max_step=0.02,
     )
     assert np.abs(lag(drive, 0.1, 30.0, 22.0) - solved.y[0]).max() < 1e-6
 

@@ -15,6 +15,9 @@ from ahrs_service.diagnosis.blind.physics import Draw, Hidden, Scene, Signals
 KNOWN_TIMES: Final = 10.0
 """A known effect is this many times larger (rms) than the one concealed beneath it."""
 
+_PLAIN_SIZES: Final = (0.5, 3.0)
+"""Level 0, in data sheet magnitudes: the shared cases have arms of 0.16 m, 1.3e-3 rad/s per K."""
+
 _OUTSIDE_PREFIX: Final = "outside:"
 
 
@@ -33,7 +36,7 @@ class Part:
 
 
 def hide(rng: np.random.Generator, name: str, scene: Scene, law: NoiseLaw, level: int) -> Part:
-    """Draw an effect and scale it to a level; level 0 leaves it at a data sheet's magnitude.
+    """Draw an effect and scale it to a level; level 0 leaves it about a data sheet's magnitude.
 
     Raises:
         ValueError: no such effect, or no size of it gives the level here.
@@ -42,7 +45,7 @@ def hide(rng: np.random.Generator, name: str, scene: Scene, law: NoiseLaw, level
     hidden = _draw(rng, name, scene)
     clips = name.endswith("_saturation")
     quiet = scene if clips else replace(scene, shake=silence(len(scene.time_s)))
-    size = 1.0
+    size = 1.0 if hidden.is_fixed else float(np.exp(rng.uniform(*np.log(_PLAIN_SIZES))))
     if level and not hidden.is_fixed:
         size = scaled_to(hidden, quiet, law, LEVEL_NATS[level])
     return _part(hidden, size, scene, quiet, law)

@@ -157,7 +157,7 @@ def _pairs(rng: np.random.Generator, number: int) -> list[Draft]:
     drafts = []
     for n in range(number):
         kind, effects = _PAIRS[(first + n) % len(_PAIRS)]
-        drafts.append((kind, {"effects": effects, "level": _LEVELS[n % 2]}))
+        drafts.append((kind, {"effects": effects, "level": (1, 0, 2)[n % 3]}))
     return drafts
 
 

@@ -67,9 +67,10 @@ class Mark:
     """One report judged; None where the question does not arise.
 
     `what` is null, control, single, concealed, pair, alike or outside; `alarm` any finding on one
-    of the first two; `first` the first name (or its class) is right, `found` how many of `hidden` were named;
-    `extra` a name that is wrong; `covariate` what the unknown effect depends on was given;
-    `covered` of `intervals` hold the truth; `worse` a held-out gain below zero.
+    of the first two; `first` the first name (or its class) is right, `found` how many of `hidden`
+    were named; `extra` a name that is wrong; `classed` a class was given that holds the effect;
+    `covariate` what the unknown effect depends on was given; `covered` of `intervals` hold the
+    truth; `worse` a held-out gain below zero; `gain` the share of the oracle's on new data.
     """
 
     name: str
@@ -236,10 +237,10 @@ def score(marks: list[Mark]) -> list[Row]:
     ]
     return [
         *rows,
-        Row("right first, beneath a known effect", _first(_of(marks, "concealed")), "80 %"),
+        Row("right first, beneath a known", _first(_of(marks, "concealed")), "80 %"),
         Row("right first, pairs", _first(_of(marks, "pair")), ""),
         Row("both of a pair named", Rate(found, hidden), ""),
-        Row("right class, inseparable", _first(_of(marks, "alike")), ""),
+        Row("right, inseparable", _first(_of(marks, "alike")), ""),
         Row("class given, inseparable", Rate.of(m.classed for m in marks), ""),
         Row("nulls falsely alarmed", Rate.of(m.alarm for m in _of(marks, "null")), "<= 2 %"),
         Row("negative controls alarmed", Rate.of(m.alarm for m in _of(marks, "control")), "<= 2 %"),
