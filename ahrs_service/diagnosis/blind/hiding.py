@@ -38,6 +38,8 @@ class Part:
 def hide(rng: np.random.Generator, name: str, scene: Scene, law: NoiseLaw, level: int) -> Part:
     """Draw an effect and scale it to a level; level 0 leaves it about a data sheet's magnitude.
 
+    But an effect that a recording hardly excites is given level 2's gain at least.
+
     Raises:
         ValueError: no such effect, or no size of it gives the level here.
 
@@ -46,8 +48,9 @@ def hide(rng: np.random.Generator, name: str, scene: Scene, law: NoiseLaw, level
     clips = name.endswith("_saturation")
     quiet = scene if clips else replace(scene, shake=silence(len(scene.time_s)))
     size = 1.0 if hidden.is_fixed else float(np.exp(rng.uniform(*np.log(_PLAIN_SIZES))))
-    if level and not hidden.is_fixed:
-        size = scaled_to(hidden, quiet, law, LEVEL_NATS[level])
+    seen = gain(hidden.signals(quiet, size), law, scene.rate_hz)
+    if not hidden.is_fixed and (level or seen < LEVEL_NATS[2]):
+        size = scaled_to(hidden, quiet, law, LEVEL_NATS[level or 2])
     return _part(hidden, size, scene, quiet, law)
 
 
