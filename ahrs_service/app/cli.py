@@ -17,6 +17,7 @@ COMMANDS: Final = {
     "replay": ("ahrs_service.app.replay", "run recordings (.tlog, .ulg, .bin) through the service"),
     "estimate": ("ahrs_service.app.estimate", "attitude of plain arrays (.npz in, .npz out)"),
     "calibrate": ("ahrs_service.app.calibrate.command", "calibrate a sensor, or look at one"),
+    "diagnose": ("ahrs_service.app.diagnose", "name what an IMU does that its twin does not"),
     "play": ("ahrs_service.app.play", "play a recording over a link in real time"),
     "simulate": ("ahrs_service.app.simulate", "fly the simulated autopilot over a link"),
 }

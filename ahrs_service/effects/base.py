@@ -7,6 +7,7 @@ an effect, diagnosis fits it and compensation takes it away again, all by the sa
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import ClassVar, Final, Literal
 
 import numpy as np
@@ -60,8 +61,9 @@ class Parameter:
     `shape` () or (3,) or (3, 3); `plausible` the largest size that data sheets or measurements
     give it, with `source`; `neutral` the value at which the effect is nil (NaN: not there at all);
     `step` a size at which the response is linear. Parameters that enter by their `grid` change
-    the form of the response and are searched over; those without step or grid are conventions
-    that keep their `default`. `is_off_diagonal` leaves the diagonal of a matrix at zero.
+    the form of the response and are searched over, in whole numbers with `is_whole`; those without
+    step or grid are conventions that keep their `default`. `is_off_diagonal` leaves the diagonal of
+    a matrix at zero.
     """
 
     name: str
@@ -75,6 +77,7 @@ class Parameter:
     default: float = 0.0
     bounds: tuple[float, float] = (-np.inf, np.inf)
     is_off_diagonal: bool = False
+    is_whole: bool = False
 
     def entries(self) -> list[tuple[int, ...]]:
         """Return the indices of the numbers that are free."""
@@ -137,6 +140,12 @@ class Effect(ABC):
     @abstractmethod
     def add(self, columns: Columns, values: Values) -> Addition:
         """Return what the effect adds to the ideal reading in `columns`."""
+
+    def grid(self, columns: Columns) -> list[dict[str, float]]:
+        """Return the forms of the response to search over: one without such parameters."""
+        forms = [p for p in self.parameters if p.grid]
+        points = product(*(p.grid for p in forms))
+        return [{p.name: v for p, v in zip(forms, point, strict=True)} for point in points]
 
     def neutral(self) -> dict[str, Floats]:
         """Return parameters at which the effect is nil."""

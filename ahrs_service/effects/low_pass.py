@@ -58,7 +58,7 @@ class LowPass(Effect):
                 grid=(2.5, 4.0, 6.0, 9.0, 13.0, 20.0, 30.0, 45.0, 70.0),
                 bounds=(0.5, 400.0),
             ),
-            Parameter("order", "1", (), 4.0, source, default=1.0),
+            Parameter("order", "1", (), 4.0, source, neutral=1.0, grid=(1.0, 2.0), is_whole=True),
         )
 
     def add(self, columns: Columns, values: Values) -> Addition:

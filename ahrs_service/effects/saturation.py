@@ -38,6 +38,12 @@ class Saturation(Effect):
             ),
         )
 
+    def grid(self, columns: Columns) -> list[dict[str, float]]:
+        """Return limits as the grid's shares of the largest inputs of each axis."""
+        largest = np.abs(self.ideal(columns)).max(axis=0)
+        (limit,) = self.parameters
+        return [{"limit": float(a * b)} for b in largest for a in limit.grid]
+
     def add(self, columns: Columns, values: Values) -> Addition:
         """Return what is cut off."""
         u, limit = self.ideal(columns), float(values["limit"])

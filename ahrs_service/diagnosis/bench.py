@@ -1,0 +1,139 @@
+"""The misfit on a rate table: an encoder tells rate and attitude, the reference point rests.
+
+Rate and specific force of the reference are exact beside the IMU's noise, so each channel is
+compared by itself in body axes: white noise, a constant bias and a first-order Gauss-Markov wander
+(IEEE Std 952, annex C). White noise has its size per axis, wander its size and time per triad.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ahrs_service.diagnosis.kalman import whiten_channel
+from ahrs_service.diagnosis.motion import GRAVITY_NED, covariates
+from ahrs_service.diagnosis.recorded import Recorded
+from ahrs_service.diagnosis.reference import Reference, body_vectors, excursions, jumps, turns
+from ahrs_service.diagnosis.residual import Noise
+from ahrs_service.effects.base import Addition
+from ahrs_service.records import Floats
+
+_STEP_S: Final = 0.08
+_MOST_ROWS: Final = 20000
+
+
+class BenchResidual:
+    """Windows of the IMU minus encoder and gravity; see diagnosis.residual.Residual."""
+
+    noise_names: Sequence[str] = (
+        *(f"gyro_white_{axis}_rad_s" for axis in "xyz"),
+        "gyro_wander_rad_s",
+        "gyro_wander_s",
+        *(f"accel_white_{axis}_m_s2" for axis in "xyz"),
+        "accel_wander_m_s2",
+        "accel_wander_s",
+    )
+
+    def __init__(self, recorded: Recorded, reference: Reference) -> None:
+        if reference.rate_rad_s is None:
+            raise ValueError(f"{recorded.name}: no rates of an encoder to compare with")
+        inside = (recorded.imu_time_s >= reference.time_s[0]) & (
+            recorded.imu_time_s <= reference.time_s[-1]
+        )
+        time_s = recorded.imu_time_s[inside]
+        rate = CubicSpline(reference.time_s, reference.rate_rad_s)(time_s)
+        attitude = CubicSpline(reference.time_s, reference.ned_from_body)(time_s)
+        attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
+        force = body_vectors(attitude, np.broadcast_to(-GRAVITY_NED, rate.shape))
+        self.columns = covariates(recorded, time_s, rate, force, attitude)
+        self.witnessed = self.columns
+        step_s = (time_s[-1] - time_s[0]) / (len(time_s) - 1)
+        window_s = max(_STEP_S, (time_s[-1] - time_s[0]) / _MOST_ROWS)
+        self._window = max(1, round(window_s / step_s))
+        self._step_s = self._window * step_s
+        self.time_s = self._windows(time_s)
+        misfit = np.hstack(
+            [recorded.gyro_rad_s[inside] - rate, recorded.accel_m_s2[inside] - force]
+        )
+        self.rows = self._windows(misfit)
+        self.body = self.rows
+        self.missing = self._without_reference(reference, time_s)
+
+    def _windows(self, values: Floats) -> Floats:
+        """Return the means of successive windows of the grid."""
+        count = len(values) // self._window
+        cut = values[: count * self._window]
+        return np.asarray(cut.reshape(count, self._window, *values.shape[1:]).mean(axis=1))
+
+    def _without_reference(self, reference: Reference, time_s: Floats) -> Floats:
+        """Return which windows [N] hold a jump of the encoder or a stay away from the truth."""
+        assert reference.rate_rad_s is not None
+        steps = np.diff(reference.time_s)[:, None]
+        means = 0.5 * (reference.rate_rad_s[1:] + reference.rate_rad_s[:-1])
+        apart = turns(reference) - means * steps
+        jumped = jumps(apart)
+        bad = jumped | excursions(reference.time_s, apart, jumped)
+        # The splines ring for some intervals beside a jump.
+        bad = np.convolve(bad, np.ones(9), mode="same") > 0.0
+        at_imu = np.interp(time_s, reference.time_s[1:], bad.astype(np.float64))
+        return (self._windows(at_imu) > 0.0).astype(np.float64)
+
+    def project(self, addition: Addition) -> Floats:
+        """Return what an addition [M, 3] on the grid adds to the windows [N, 6]."""
+        rows = np.zeros(self.rows.shape)
+        if addition.gyro is not None:
+            rows[:, :3] = self._windows(addition.gyro)
+        if addition.accel is not None:
+            rows[:, 3:] = self._windows(addition.accel)
+        return rows
+
+    def project_body(self, addition: Addition) -> Floats:
+        """Return the same: the windows are in body axes."""
+        return self.project(addition)
+
+    def first_noise(self) -> Noise:
+        """Return white noise by differences of neighbours, wander of a fifth of it, 100 s."""
+        here = self.rows[self.missing == 0.0]
+        white = np.maximum(1.4826 * np.median(np.abs(np.diff(here, axis=0)), axis=0), 1e-12)
+        white /= np.sqrt(2.0)
+        values = [
+            *white[:3],
+            0.3 * white[:3].mean(),
+            60.0,
+            *white[3:],
+            0.3 * white[3:].mean(),
+            60.0,
+        ]
+        return np.log(values)
+
+    def noise_bounds(self) -> list[tuple[float, float]]:
+        """Return bounds: white noise within a factor of 5, wander 1e-3 to 1e3 of it, 5-1000 s."""
+        first = self.first_noise()
+        white = [(w - np.log(5.0), w + np.log(5.0)) for w in first]
+        times = (np.log(5.0), np.log(1000.0))
+        wanders = [(first[n] - np.log(300.0), first[n] + np.log(1e3)) for n in (3, 8)]
+        return [*white[:3], wanders[0], times, *white[5:8], wanders[1], times]
+
+    def choose(self, likelihood: Callable[[], float]) -> None:
+        """Nothing to choose."""
+
+    def whiten(self, noise: Noise, rows: Floats) -> tuple[Floats, float]:
+        """Return `rows` [N, 6, K] whitened, and the log determinant of the noise's covariance."""
+        values = np.exp(noise)
+        out = np.empty(rows.shape)
+        log_det = 0.0
+        for channel in range(6):
+            base = 5 * (channel // 3)
+            keep = np.exp(-self._step_s / values[base + 4])
+            white = np.empty(rows.shape[::2])
+            log_det += whiten_channel(
+                np.ascontiguousarray(rows[:, channel]),
+                self.missing,
+                values[base + channel % 3] ** 2,
+                values[base + 3] ** 2,
+                keep,
+                white,
+            )
+            out[:, channel] = white
+        return out, log_det

@@ -1,0 +1,217 @@
+"""The misfit in flight: an INS tells attitude and velocity with errors of its own.
+
+Compared are angle and velocity gathered since the beginning, in earth axes, because there the
+reference's errors are stationary: first-order Gauss-Markov plus white. Its attitude error e also
+tilts the specific force and so enters the velocity as e x f. Noise, wander and effects of the IMU
+are integrated with the attitude (diagnosis.kalman.whiten_flight).
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ahrs_service.diagnosis.kalman import whiten_flight
+from ahrs_service.diagnosis.motion import GRAVITY_NED, covariates, slow_motion, witnessed
+from ahrs_service.diagnosis.preintegration import preintegrate
+from ahrs_service.diagnosis.recorded import Recorded
+from ahrs_service.diagnosis.reference import (
+    Reference,
+    excursions,
+    jumps,
+    rotation_vectors,
+)
+from ahrs_service.diagnosis.residual import Noise
+from ahrs_service.effects.base import Addition
+from ahrs_service.records import Floats
+from ahrs_service.rotation import inverse_columns, multiply_columns, rotate_columns
+
+_STEP_S: Final = 0.1
+_MOST_ROWS: Final = 12000
+_UNKNOWN_ANGLE: Final = 1.0
+_UNKNOWN_SPEED: Final = 100.0
+_SIZES: Final = 50.0
+_WANDERS: Final = 1000.0
+_TIMES: Final = 30.0
+
+
+class FlightResidual:
+    """Angle and velocity gathered by the IMU minus the reference's; see residual.Residual."""
+
+    noise_names: Sequence[str] = (
+        "reference_attitude_rad",
+        "reference_attitude_s",
+        "reference_attitude_white_rad",
+        "gyro_density_rad_s_hz",
+        "gyro_wander_rad_s",
+        "gyro_wander_s",
+        "reference_velocity_m_s",
+        "reference_velocity_s",
+        "reference_velocity_white_m_s",
+        "accel_density_m_s2_hz",
+        "accel_wander_m_s2",
+        "accel_wander_s",
+    )
+
+    def __init__(self, recorded: Recorded, reference: Reference) -> None:
+        grid_s, q = reference.time_s, reference.ned_from_body
+        self._q = q
+        self._steps = np.diff(grid_s)[:, None]
+        length_s = grid_s[-1] - grid_s[0]
+        window_s = max(_STEP_S, length_s / _MOST_ROWS)
+        self._window = max(1, round(window_s * (len(grid_s) - 1) / length_s))
+        self._step_s = self._window * length_s / (len(grid_s) - 1)
+        turned, gathered = np.empty((len(q) - 1, 4)), np.empty((len(q) - 1, 3))
+        preintegrate(
+            recorded.imu_time_s, recorded.gyro_rad_s, recorded.accel_m_s2, grid_s, turned, gathered
+        )
+        increments = self._misfit(reference, turned, gathered)
+        jumped = jumps(increments)
+        away = jumped | excursions(grid_s, increments, jumped)
+        increments[jumped] = 0.0
+        self.rows = self._windows(self._sum(increments))
+        self.time_s = self._windows(grid_s)
+        self.missing = (self._windows(np.append(False, away).astype(float)) > 0.0).astype(float)
+        self._begins = (self._windows(np.append(False, jumped).astype(float)) > 0.0).astype(float)
+        # Whatever was gathered while the attitude was wrong is no longer known after it.
+        self._begins[1:] = np.maximum(self._begins[1:], self.missing[:-1])
+        self._turn, self._tilt, self._path = self._paths(gathered)
+        self._is_error_in_body = True
+        rate, force = (
+            slow_motion(recorded.imu_time_s, values, grid_s)
+            for values in (recorded.gyro_rad_s, recorded.accel_m_s2)
+        )
+        bias = self._mean_bias(increments, away)
+        self.columns = covariates(recorded, grid_s, rate - bias[:3], force - bias[3:], q)
+        self.witnessed = witnessed(reference, self.columns)
+        self.body = self._in_body(increments)
+
+    def _misfit(self, reference: Reference, turned: Floats, gathered: Floats) -> Floats:
+        """Return the misfit per interval [N-1, 6]: angle [rad], velocity [m/s], earth axes."""
+        q, velocity = self._q, reference.velocity_ned_m_s
+        expected = multiply_columns(inverse_columns(q[:-1]), q[1:])
+        apart = rotation_vectors(multiply_columns(inverse_columns(expected), turned))
+        angle = rotate_columns(q[1:], apart)
+        speed = rotate_columns(q[:-1], gathered) + GRAVITY_NED * self._steps
+        return np.hstack([angle, speed - np.diff(velocity, axis=0)])
+
+    def _sum(self, increments: Floats) -> Floats:
+        return np.vstack([np.zeros((1, increments.shape[1])), np.cumsum(increments, axis=0)])
+
+    def _windows(self, values: Floats) -> Floats:
+        """Return the means of successive windows of the grid."""
+        count = len(values) // self._window
+        cut = values[: count * self._window]
+        return np.asarray(cut.reshape(count, self._window, *values.shape[1:]).mean(axis=1))
+
+    def _paths(self, gathered: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return mean rotation and integrated -[f x] of the steps to each row; rotation there."""
+        shape = (len(self._q), 3)
+        axes = [rotate_columns(self._q, np.broadcast_to(axis, shape)) for axis in np.eye(3)]
+        path = self._windows(np.stack(axes, axis=2))
+        turn_of_step = path.copy()
+        turn_of_step[1:] = 0.5 * (path[1:] + path[:-1])
+        speed = self._windows(self._sum(rotate_columns(self._q[:-1], gathered)))
+        x, y, z = np.diff(speed, axis=0, prepend=speed[:1]).T
+        zero = np.zeros(len(x))
+        cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+        return turn_of_step, -cross, path
+
+    def _mean_bias(self, increments: Floats, away: npt.NDArray[np.bool_]) -> Floats:
+        """Return the mean misfit [6] in body axes [rad/s, m/s^2]."""
+        good = ~away
+        q = inverse_columns(self._q[:-1][good])
+        angle = rotate_columns(q, increments[good, :3]).sum(axis=0)
+        speed = rotate_columns(q, increments[good, 3:]).sum(axis=0)
+        return np.asarray(np.concatenate([angle, speed]) / self._steps[good].sum())
+
+    def _in_body(self, increments: Floats) -> Floats:
+        """Return the misfit as rate and force [N, 6] in body axes, per row."""
+        q = inverse_columns(self._q[:-1])
+        parts = [rotate_columns(q, increments[:, part : part + 3]) for part in (0, 3)]
+        body = np.hstack(parts) / self._steps
+        return self._windows(np.vstack([body, body[-1:]]))
+
+    def project(self, addition: Addition) -> Floats:
+        """Return what an addition [M, 3] on the grid adds to angle and velocity [N, 6]."""
+        rows = np.zeros(self.rows.shape)
+        for part, added in enumerate((addition.gyro, addition.accel)):
+            if added is not None:
+                ned = rotate_columns(self._q, added)
+                gathered = self._sum(0.5 * (ned[1:] + ned[:-1]) * self._steps)
+                rows[:, 3 * part : 3 * part + 3] = self._windows(gathered)
+        return rows
+
+    def project_body(self, addition: Addition) -> Floats:
+        """Return what an addition [M, 3] on the grid adds to rate and force [N, 6]."""
+        rows = np.zeros(self.rows.shape)
+        if addition.gyro is not None:
+            rows[:, :3] = self._windows(addition.gyro)
+        if addition.accel is not None:
+            rows[:, 3:] = self._windows(addition.accel)
+        return rows
+
+    def first_noise(self) -> Noise:
+        """Return the sizes of a good INS and of a consumer IMU."""
+        return np.log([7e-4, 6.0, 5e-5, 7e-5, 1e-4, 100.0, 0.03, 4.0, 0.003, 1e-3, 2e-3, 100.0])
+
+    def noise_bounds(self) -> list[tuple[float, float]]:
+        """Return bounds a factor of 30 about the first sizes, 10 for times."""
+        bounds = []
+        for name, value in zip(self.noise_names, self.first_noise(), strict=True):
+            is_time = name.endswith(("attitude_s", "velocity_s", "wander_s"))
+            size = _WANDERS if name in ("gyro_wander_rad_s", "accel_wander_m_s2") else _SIZES
+            span = np.log(_TIMES if is_time else size)
+            bounds.append((value - span, value + span))
+        return bounds
+
+    def _earth_axes(self) -> Floats:
+        return np.broadcast_to(np.eye(3), self._path.shape).copy()
+
+    def choose(self, likelihood: Callable[[], float]) -> None:
+        """Let the reference's attitude error be stationary in body or in earth axes.
+
+        Which of them has the higher `likelihood`: an INS of the vehicle's own errs
+        in its axes, a reference fed by satellites or cameras in the earth's.
+        """
+        values = {}
+        for is_in_body in (True, False):
+            self._is_error_in_body = is_in_body
+            values[is_in_body] = likelihood()
+        self._is_error_in_body = values[True] >= values[False]
+
+    def whiten(self, noise: Noise, rows: Floats) -> tuple[Floats, float]:
+        """Return `rows` [N, 6, K] whitened, and the log determinant of the noise's covariance."""
+        e, e_s, e_white, g, b, b_s, v, v_s, v_white, a, c, c_s = np.exp(noise)
+        step = self._step_s
+        keep = np.exp(-step / np.array([e_s, b_s, v_s, c_s]))
+        held = np.array([e, b, v, c]) ** 2 * (1.0 - keep * keep)
+        drive = np.array([held[0], g * g * step, held[1], held[2], a * a * step, held[3]])
+        start = np.array([e * e, _UNKNOWN_ANGLE, b * b, v * v, _UNKNOWN_SPEED, c * c])
+        # The mean over a window of what wanders at random: its increments are correlated by +1/4,
+        # which is a white noise of negative variance (Working 1960).
+        mean_of_walk = (1.0 - 1.0 / self._window**2) / 6.0
+        white = np.array([e_white**2, v_white**2])
+        white -= mean_of_walk * np.array([drive[0] + drive[1], drive[3] + drive[4]])
+        out = np.empty(rows.shape)
+        log_det = whiten_flight(
+            np.ascontiguousarray(rows),
+            self._turn,
+            self._tilt @ self._turn if self._is_error_in_body else self._tilt,
+            self._path if self._is_error_in_body else self._earth_axes(),
+            self._begins,
+            self.missing,
+            step,
+            keep,
+            drive,
+            start,
+            white,
+            out,
+        )
+        return out, log_det
+
+
+def is_flight(reference: Reference) -> bool:
+    """Whether the reference moves or has no rates of its own."""
+    return reference.rate_rad_s is None or not reference.is_at_rest

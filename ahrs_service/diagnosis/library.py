@@ -1,0 +1,196 @@
+"""The responses that the search chooses from: catalogue effects, and smooth unknown ones."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from ahrs_service.diagnosis.residual import Residual
+from ahrs_service.effects.base import Addition, Columns, Effect, Parameter
+from ahrs_service.effects.catalogue import EFFECTS
+from ahrs_service.records import Floats
+
+_KNOTS: Final = 5
+_LEAST_SPREAD: Final = 1e-6
+
+
+Entry = tuple[Parameter, tuple[int, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """An effect with values for all of its parameters."""
+
+    effect: Effect
+    values: dict[str, Floats]
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One form of a hypothesis: its columns in the library, which enter by free coefficients.
+
+    `effect` of the catalogue, or None for an unknown dependence on `covariate`. `form` the values
+    of parameters that enter nonlinearly, `freedom` how many numbers are fitted; `is_whole` where
+    the response has no coefficient and is there in full or not at all.
+    """
+
+    name: str
+    effect: Effect | None
+    covariate: str
+    form: dict[str, float]
+    columns: slice
+    freedom: int
+    is_whole: bool = False
+
+
+@dataclass(slots=True)
+class Library:
+    """All candidates and their responses `rows` [N, 6, K]."""
+
+    candidates: list[Candidate] = field(default_factory=list)
+    rows: Floats = field(default_factory=lambda: np.empty((0, 6, 0)))
+    refused: dict[str, str] = field(default_factory=dict)
+
+
+def linear_entries(effect: Effect) -> list[Entry]:
+    """Return the numbers of an effect that enter linearly, or nearly, as parameter and index."""
+    return [(p, index) for p in effect.parameters if p.step for index in p.entries()]
+
+
+def unit_response(
+    effect: Effect,
+    columns: Columns,
+    form: dict[str, float],
+    entry: tuple[Parameter, tuple[int, ...]],
+) -> Addition:
+    """Return the addition of an effect per unit of one of its numbers, near zero."""
+    parameter, index = entry
+    values = effect.neutral()
+    for name, value in form.items():
+        values[name] = np.asarray(value)
+    numbers = np.zeros(parameter.shape)
+    numbers[index] = parameter.step
+    values[parameter.name] = numbers
+    addition = effect.add(columns, values)
+    scale = 1.0 / parameter.step
+    return Addition(
+        None if addition.gyro is None else addition.gyro * scale,
+        None if addition.accel is None else addition.accel * scale,
+    )
+
+
+def sources(residual: Residual, effect: Effect) -> Columns:
+    """Return the motion that an effect acts on: where it cuts the reading, the reference's."""
+    return residual.witnessed if effect.name == "saturation" else residual.columns
+
+
+def missing_covariate(effect: Effect, columns: Columns) -> str | None:
+    """Return why an effect cannot be computed or shown here, None where it can."""
+    for name in effect.needs:
+        if not columns.knows(name):
+            return f"the recording holds no {name}"
+        values = getattr(columns, name)
+        if values.ndim == 1 and np.ptp(values) < _LEAST_SPREAD * (1.0 + np.abs(values).max()):
+            return f"{name} does not change"
+    return None
+
+
+def responses(residual: Residual, effect: Effect, form: dict[str, float]) -> list[Floats]:
+    """Return the rows [N, 6] of an effect's linear numbers, or its whole response."""
+    columns = sources(residual, effect)
+    entries = linear_entries(effect)
+    if entries:
+        return [residual.project(unit_response(effect, columns, form, entry)) for entry in entries]
+    values = effect.neutral() | {name: np.asarray(value) for name, value in form.items()}
+    return [residual.project(effect.add(columns, values))]
+
+
+def library_of(residual: Residual, names: Sequence[str] = tuple(EFFECTS)) -> Library:
+    """Return the responses of all effects that this recording could show, and of unknown ones."""
+    library, rows, used = Library(), [], 0
+    for name in names:
+        effect = EFFECTS[name]
+        why = missing_covariate(effect, residual.columns)
+        if why is not None:
+            library.refused[name] = why
+            continue
+        has_coefficients = bool(linear_entries(effect))
+        for form in effect.grid(sources(residual, effect)):
+            added = responses(residual, effect, form)
+            freedom = len(form) + (len(added) if has_coefficients else 0)
+            place = slice(used, used + len(added))
+            library.candidates.append(
+                Candidate(name, effect, "", form, place, freedom, not has_coefficients)
+            )
+            rows += added
+            used += len(added)
+    for covariate, basis in unknown_forms(residual.columns).items():
+        for triad in ("gyro", "accel"):
+            added = [
+                residual.project(_on_axis(triad, axis, column))
+                for axis in range(3)
+                for column in basis.T
+            ]
+            place = slice(used, used + len(added))
+            name = f"{triad} {covariate}"
+            library.candidates.append(Candidate(name, None, covariate, {}, place, len(added)))
+            rows += added
+            used += len(added)
+    library.rows = np.stack(rows, axis=2)
+    return library
+
+
+def _on_axis(triad: str, axis: int, values: Floats) -> Addition:
+    added = np.zeros((len(values), 3))
+    added[:, axis] = values
+    return Addition(gyro=added) if triad == "gyro" else Addition(accel=added)
+
+
+def regimes(columns: Columns) -> dict[str, Floats]:
+    """Return the covariates [N] that a misfit is held against, those that are known."""
+    speed = np.linalg.norm(columns.rate_rad_s, axis=1)
+    force = np.linalg.norm(columns.force_m_s2, axis=1)
+    down = 2.0 * columns.ned_from_body**2
+    w, x, y, z = columns.ned_from_body.T
+    known = {
+        "temperature": columns.temperature_degc,
+        "temperature slope": columns.temperature_slope_degc_s,
+        "rate": speed,
+        "acceleration": force,
+        "throttle": columns.throttle,
+        "current": columns.current_a,
+        "vibration": columns.vibration_m_s2,
+        "airspeed": columns.airspeed_m_s,
+        "roll": np.arctan2(2.0 * (w * x + y * z), 1.0 - down[:, 1] - down[:, 2]),
+        "pitch": np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)),
+        "heading": np.arctan2(2.0 * (w * z + x * y), 1.0 - down[:, 2] - down[:, 3]),
+    }
+    spread = {name: np.ptp(values) for name, values in known.items()}
+    return {
+        name: values
+        for name, values in known.items()
+        if np.isfinite(values).all() and spread[name] > _LEAST_SPREAD * (1 + np.abs(values).max())
+    }
+
+
+def unknown_forms(columns: Columns) -> dict[str, Floats]:
+    """Return smooth forms [N, 4] of each covariate: cubic splines over its range, no constant."""
+    forms = {}
+    for name, values in regimes(columns).items():
+        low, high = np.quantile(values, [0.002, 0.998])
+        if not high > low:
+            continue
+        share = np.clip((values - low) / (high - low), 0.0, 1.0)
+        forms[name] = spline_basis(share)
+    return forms
+
+
+def spline_basis(share: Floats) -> Floats:
+    """Return cubic B-splines [N, 4] over 0..1 that with a constant span all of five."""
+    inner = np.linspace(0.0, 1.0, _KNOTS - 2)
+    knots = np.concatenate([np.zeros(3), inner, np.ones(3)])
+    count = len(knots) - 4
+    basis = np.asarray(BSpline.design_matrix(np.clip(share, 0.0, 1.0 - 1e-12), knots, 3).toarray())
+    return basis[:, 1:count]

@@ -1,0 +1,215 @@
+"""A misfit explained: named effects with their parameters, unknown dependences, noise."""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from ahrs_service.diagnosis.library import Term, linear_entries, sources, unit_response
+from ahrs_service.diagnosis.likelihood import fit, fit_noise
+from ahrs_service.diagnosis.residual import Noise, Residual, bias_rows
+from ahrs_service.effects.base import Addition, Columns, Effect, Parameter
+from ahrs_service.records import Floats
+
+_TURNS: Final = 6
+_SETTLED_SIGMA: Final = 0.05
+_RELATIVE_STEP: Final = 1e-3
+_UNDO_TURNS: Final = 3
+_DYNAMIC: Final = ("low_pass", "time_offset", "clock_drift", "mounting_rotation")
+"""Effects large enough, and of a kind, that the reading is no substitute for the ideal motion."""
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """Terms and unknown columns fitted to a residual.
+
+    `unknown` names of smooth dependences whose rows are `unknown_rows` [N, 6, U];
+    `log_likelihood` at its maximum; `covariance` [P, P] of the terms' free numbers in the order
+    of `free_numbers`; `misfit` [N, 6] the rows minus what the terms add, `base` [N, 6, B] bias,
+    unknown and the terms' derivatives.
+    """
+
+    terms: tuple[Term, ...]
+    unknown: tuple[str, ...]
+    unknown_rows: Floats
+    noise: Noise
+    log_likelihood: float
+    covariance: Floats
+    misfit: Floats
+    base: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """One free number of a term: parameter and index; `is_form` where it enters nonlinearly."""
+
+    term: int
+    parameter: Parameter
+    index: tuple[int, ...]
+    is_form: bool
+
+
+def free_numbers(terms: tuple[Term, ...]) -> list[Number]:
+    """Return the numbers of all terms that are fitted."""
+    numbers = []
+    for place, term in enumerate(terms):
+        numbers += [Number(place, p, index, False) for p, index in linear_entries(term.effect)]
+        numbers += [
+            Number(place, p, (), True) for p in term.effect.parameters if p.grid and not p.is_whole
+        ]
+    return numbers
+
+
+def motion_under(columns: Columns, terms: tuple[Term, ...]) -> Columns:
+    """Return the ideal motion where `columns` holds what an IMU with these terms reads."""
+    moving = [term for term in terms if term.effect.name in _DYNAMIC]
+    if not moving:
+        return columns
+    ideal = columns
+    for _ in range(_UNDO_TURNS):
+        rate, force = columns.rate_rad_s.copy(), columns.force_m_s2.copy()
+        for term in moving:
+            added = term.effect.add(ideal, term.values)
+            rate -= 0.0 if added.gyro is None else added.gyro
+            force -= 0.0 if added.accel is None else added.accel
+        ideal = replace(ideal, rate_rad_s=rate, force_m_s2=force)
+    return ideal
+
+
+def _motion(residual: Residual, effect: Effect, terms: tuple[Term, ...]) -> Columns:
+    columns = sources(residual, effect)
+    is_exact = residual.columns is residual.witnessed
+    return columns if is_exact or effect.name == "saturation" else motion_under(columns, terms)
+
+
+def added_rows(residual: Residual, terms: tuple[Term, ...]) -> Floats:
+    """Return what the terms add to the rows [N, 6]."""
+    total = np.zeros(residual.rows.shape)
+    for term in terms:
+        columns = _motion(residual, term.effect, terms)
+        total += residual.project(term.effect.add(columns, term.values))
+    return total
+
+
+def added_body(residual: Residual, terms: tuple[Term, ...]) -> Floats:
+    """Return what the terms add to rate and force in body axes [N, 6]."""
+    total = np.zeros(residual.body.shape)
+    for term in terms:
+        columns = _motion(residual, term.effect, terms)
+        total += residual.project_body(term.effect.add(columns, term.values))
+    return total
+
+
+def _difference(after: Addition, before: Addition, step: float) -> Addition:
+    return Addition(
+        None if after.gyro is None or before.gyro is None else (after.gyro - before.gyro) / step,
+        None
+        if after.accel is None or before.accel is None
+        else (after.accel - before.accel) / step,
+    )
+
+
+def derivative(
+    residual: Residual, terms: tuple[Term, ...], number: Number, in_body: bool = False
+) -> Floats:
+    """Return the rows [N, 6], or the body's, per unit of one free number, at present values."""
+    project = residual.project_body if in_body else residual.project
+    term, parameter = terms[number.term], number.parameter
+    columns = _motion(residual, term.effect, terms)
+    if not number.is_form and term.effect.name not in _DYNAMIC:
+        form = {p.name: float(term.values[p.name]) for p in term.effect.parameters if p.grid}
+        entry = (parameter, number.index)
+        return project(unit_response(term.effect, columns, form, entry))
+    value = term.values[parameter.name]
+    step = parameter.step or _RELATIVE_STEP * max(abs(float(value)), 1.0)
+    sides = []
+    for sign in (0.5, -0.5):
+        moved = value.copy()
+        moved[number.index] += sign * step
+        sides.append(term.effect.add(columns, term.values | {parameter.name: moved}))
+    return project(_difference(sides[0], sides[1], step))
+
+
+def _moved(terms: tuple[Term, ...], numbers: list[Number], by: Floats) -> tuple[Term, ...]:
+    values = [{name: value.copy() for name, value in term.values.items()} for term in terms]
+    for number, change in zip(numbers, by, strict=True):
+        array, parameter = values[number.term][number.parameter.name], number.parameter
+        old = float(array[number.index])
+        new = old + change
+        if number.is_form and parameter.bounds[0] > 0.0:
+            new = np.clip(new, 0.5 * old, 2.0 * old)
+        array[number.index] = np.clip(new, *parameter.bounds)
+    return tuple(Term(term.effect, new) for term, new in zip(terms, values, strict=True))
+
+
+def _base(residual: Residual, terms: tuple[Term, ...], unknown_rows: Floats) -> Floats:
+    columns = [derivative(residual, terms, number) for number in free_numbers(terms)]
+    own = np.stack(columns, axis=2) if columns else np.empty((*residual.rows.shape, 0))
+    return np.concatenate([bias_rows(residual), unknown_rows, own], axis=2)
+
+
+def settle(
+    residual: Residual,
+    terms: tuple[Term, ...],
+    noise: Noise,
+    unknown: tuple[str, ...] = (),
+    unknown_rows: Floats | None = None,
+) -> Model:
+    """Fit the terms' numbers under one noise: Gauss-Newton, shorter where it overshoots."""
+    if unknown_rows is None:
+        unknown_rows = np.empty((*residual.rows.shape, 0))
+    numbers = free_numbers(terms)
+    best: Model | None = None
+    change, shares = np.zeros(len(numbers)), 1.0
+    start = terms
+    for _ in range(_TURNS):
+        misfit = residual.rows - added_rows(residual, terms)
+        base = _base(residual, terms, unknown_rows)
+        here = fit(residual, noise, base, misfit)
+        first = base.shape[2] - len(numbers)
+        # The step is linear, so the likelihood that counts is that of the numbers as they are.
+        held = fit(residual, noise, base[:, :, :first], misfit)
+        covariance = here.covariance[first:, first:]
+        if best is None or held.log_likelihood > best.log_likelihood:
+            start, change = terms, here.coefficients[first:]
+            gained = np.inf if best is None else held.log_likelihood - best.log_likelihood
+            best = Model(
+                terms, unknown, unknown_rows, noise, held.log_likelihood, covariance, misfit, base
+            )
+            shares = 1.0
+            if not numbers or gained < 1e-3:
+                break
+            sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+            if np.all(np.abs(change) <= _SETTLED_SIGMA * np.maximum(sigma, 1e-300)):
+                break
+        else:
+            shares *= 0.4
+        terms = _moved(start, numbers, shares * change)
+    assert best is not None
+    return best
+
+
+def refit(residual: Residual, model: Model, turns: int = 2) -> Model:
+    """Fit numbers and noise in turn."""
+    for _ in range(turns):
+        noise = fit_noise(residual, model.base, model.misfit, model.noise)
+        before = model.log_likelihood
+        model = settle(residual, model.terms, noise, model.unknown, model.unknown_rows)
+        if model.log_likelihood - before < 0.3:
+            break
+    return model
+
+
+def bare(residual: Residual) -> Model:
+    """Return the model without any effect, with the noise that this asks for."""
+    noise = residual.first_noise()
+    base = bias_rows(residual)
+    for _ in range(2):
+        choose(residual, noise, base, residual.rows)
+        noise = fit_noise(residual, base, residual.rows, noise)
+    return settle(residual, (), noise)
+
+
+def choose(residual: Residual, noise: Noise, base: Floats, rows: Floats) -> None:
+    """Settle between the forms of the noise that a residual knows."""
+    residual.choose(lambda: fit(residual, noise, base, rows).log_likelihood)

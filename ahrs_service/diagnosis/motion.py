@@ -1,0 +1,101 @@
+"""The ideal motion and the covariates that effects act on, on the grid of a comparison."""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import butter, sosfiltfilt
+
+from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.diagnosis.recorded import Recorded, Series
+from ahrs_service.diagnosis.reference import Reference, body_vectors
+from ahrs_service.effects.base import Columns
+from ahrs_service.records import Floats
+
+GRAVITY_NED: Final = np.array([0.0, 0.0, STANDARD_GRAVITY_M_S2])
+
+MOTION_HZ: Final = 10.0
+"""Vehicles of these sizes turn slower than this, motors shake faster (PX4: rate loop 5-10 Hz)."""
+
+_SLOPE_S: Final = 2.0
+"""Width over which the temperature's slope is taken: 0.01 degC steps at 10 Hz need a second."""
+
+_SMOOTH_S: Final = 0.5
+"""Width over which airspeed, vibration and current are smoothed against their own noise."""
+
+
+def _smoothed(series: Series, width_s: float) -> Series:
+    if len(series) < 3:
+        return series
+    step_s = (series.time_s[-1] - series.time_s[0]) / (len(series) - 1)
+    values = gaussian_filter1d(series.values, width_s / step_s, axis=0, mode="nearest")
+    return Series(series.time_s, values)
+
+
+def _slope(series: Series) -> Series:
+    if len(series) < 5:
+        return series
+    smooth = _smoothed(series, _SLOPE_S)
+    return Series(smooth.time_s, np.gradient(smooth.values, smooth.time_s))
+
+
+def _vibration(series: Series) -> Series:
+    """Return one level for the board: the mean of its three axes."""
+    if not len(series):
+        return series
+    return _smoothed(Series(series.time_s, series.values.mean(axis=1)), _SMOOTH_S)
+
+
+def covariates(
+    recorded: Recorded, time_s: Floats, rate: Floats, force: Floats, attitude: Floats
+) -> Columns:
+    """Return the columns of a motion at `time_s` [N] with what was recorded beside it."""
+    spline = CubicSpline(time_s, rate)
+    return Columns(
+        time_s=time_s,
+        since_power_on_s=time_s,
+        rate_rad_s=rate,
+        force_m_s2=force,
+        angular_acceleration_rad_s2=spline(time_s, 1),
+        temperature_degc=recorded.temperature_degc.at(time_s),
+        temperature_slope_degc_s=_slope(recorded.temperature_degc).at(time_s),
+        vibration_m_s2=_vibration(recorded.vibration_m_s2).at(time_s),
+        current_a=_smoothed(recorded.current_a, _SMOOTH_S).at(time_s),
+        throttle=_smoothed(recorded.throttle, _SMOOTH_S).at(time_s),
+        airspeed_m_s=_smoothed(recorded.airspeed_m_s, _SMOOTH_S).at(time_s),
+        ned_from_body=attitude,
+    )
+
+
+def slow_motion(time_s: Floats, values: Floats, at_s: Floats) -> Floats:
+    """Return `values` [N, 3] without what is faster than MOTION_HZ, without delay, at `at_s`."""
+    rate_hz = (len(time_s) - 1) / (time_s[-1] - time_s[0])
+    if rate_hz > 2.5 * MOTION_HZ:
+        sections = butter(4, MOTION_HZ, fs=rate_hz, output="sos")
+        values = sosfiltfilt(sections, values, axis=0)
+    return np.asarray(CubicSpline(time_s, values)(at_s))
+
+
+def witnessed(reference: Reference, like: Columns) -> Columns:
+    """Return `like` with rate and force of the reference alone: noisier, but not of the IMU."""
+    time_s = reference.time_s
+    spline = CubicSpline(time_s, reference.ned_from_body)
+    q, q_dot = spline(time_s), spline(time_s, 1)
+    rate = 2.0 * _vector_part(q, q_dot)
+    acceleration = CubicSpline(time_s, reference.velocity_ned_m_s)(time_s, 1)
+    force = body_vectors(reference.ned_from_body, acceleration - GRAVITY_NED)
+    rate, force = (slow_motion(time_s, values, like.time_s) for values in (rate, force))
+    return replace(
+        like,
+        rate_rad_s=rate,
+        force_m_s2=force,
+        angular_acceleration_rad_s2=CubicSpline(like.time_s, rate)(like.time_s, 1),
+    )
+
+
+def _vector_part(q: Floats, q_dot: Floats) -> Floats:
+    """Return the vector part of conj(q) q_dot [N, 3]."""
+    w, v = q[:, :1], q[:, 1:]
+    return np.asarray(w * q_dot[:, 1:] - q_dot[:, :1] * v - np.cross(v, q_dot[:, 1:]))

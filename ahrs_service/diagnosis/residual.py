@@ -1,0 +1,62 @@
+"""What the comparison of IMU and reference looks like to the search, on a bench or in flight."""
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from ahrs_service.effects.base import Addition, Columns
+from ahrs_service.records import Floats
+
+CHANNELS = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
+
+Noise = Floats
+"""Logarithms of the noise parameters of a residual, in the order of its `noise_names`."""
+
+
+class Residual(Protocol):
+    """A misfit of IMU and reference [N, 6] (gyro, accel) with its noise.
+
+    `time_s` [N] of the rows, `rows` [N, 6] the misfit as it is whitened; `body` [N, 6] the same
+    as rate [rad/s] and specific force [m/s^2] in body axes, for people. `columns` the motion by
+    the best source there is, `witnessed` by the reference alone (the same where it is exact).
+    """
+
+    time_s: Floats
+    rows: Floats
+    body: Floats
+    columns: Columns
+    witnessed: Columns
+    missing: Floats
+    noise_names: Sequence[str]
+
+    def project(self, addition: Addition) -> Floats:
+        """Return what an addition on the grid of `columns` adds to `rows` [N, 6]."""
+
+    def project_body(self, addition: Addition) -> Floats:
+        """Return what it adds to `body` [N, 6]."""
+
+    def first_noise(self) -> Noise:
+        """Return noise parameters to begin a fit with."""
+
+    def noise_bounds(self) -> list[tuple[float, float]]:
+        """Return the bounds of the noise parameters."""
+
+    def choose(self, likelihood: Callable[[], float]) -> None:
+        """Settle between forms of the noise by the `likelihood` under each."""
+
+    def whiten(self, noise: Noise, rows: Floats) -> tuple[Floats, float]:
+        """Return `rows` [N, 6, K] whitened, and the log determinant of the noise's covariance."""
+
+
+def bias_rows(residual: Residual) -> Floats:
+    """Return what a constant bias of each of the six sensors adds to the rows [N, 6, 6]."""
+    count = len(residual.columns.time_s)
+    zeros = np.zeros((count, 3))
+    columns = []
+    for sensor in range(6):
+        one = zeros.copy()
+        one[:, sensor % 3] = 1.0
+        addition = Addition(gyro=one) if sensor < 3 else Addition(accel=one)
+        columns.append(residual.project(addition))
+    return np.stack(columns, axis=2)

@@ -1,0 +1,79 @@
+"""How much each candidate would add to the likelihood, all at once from one Gram matrix."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.special import gammaln
+from scipy.stats import chi2
+
+from ahrs_service.diagnosis.library import Candidate, Library
+from ahrs_service.diagnosis.likelihood import solve
+from ahrs_service.diagnosis.residual import Noise, Residual
+from ahrs_service.records import Floats
+
+_OWN_SHARE: Final = 1e-8
+"""Of a response's whitened energy that the nuisances must leave: less is rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class Gains:
+    """Gain in log-likelihood of each candidate [nats], and its surprise -log p."""
+
+    gain: Floats
+    surprise: Floats
+
+
+def surprise(gain: float, freedom: int) -> float:
+    """Return -log of the chance of a gain this large by noise alone: Wilks' chi-squared tail.
+
+    Beyond what a double holds, by the first two terms of the tail (Abramowitz, Stegun 26.4.12).
+    """
+    gain = max(gain, 0.0)
+    if gain < 300.0:
+        return float(-chi2.logsf(2.0 * gain, freedom))
+    half = 0.5 * freedom
+    tail = (half - 1.0) * np.log(gain) - gammaln(half) + np.log1p((half - 1.0) / gain)
+    return float(gain - tail)
+
+
+def grams(
+    residual: Residual, noise: Noise, library: Library, base: Floats, rows: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return the candidates' Gram [K, K], its target [K] and what of the energy is their own [K].
+
+    All after the nuisances `base` [N, 6, B] are fitted, under `noise`, to `rows` [N, 6].
+    """
+    stack = np.concatenate([base, library.rows, rows[:, :, None]], axis=2)
+    white, _ = residual.whiten(noise, stack)
+    white = white.reshape(-1, stack.shape[2])
+    gram = white.T @ white
+    count = base.shape[2]
+    _, inverse, _ = solve(gram[:count, :count], gram[:count, -1])
+    cross = gram[count:, :count]
+    own = gram[count:, count:] - cross @ inverse @ cross.T
+    energy = np.maximum(np.diag(gram)[count:-1], 1e-300)
+    return own[:-1, :-1], own[:-1, -1], np.diag(own)[:-1] / energy
+
+
+def gain_of(candidate: Candidate, gram: Floats, target: Floats, share: Floats) -> float:
+    """Return the gain in log-likelihood [nats] of one candidate."""
+    place = candidate.columns
+    if candidate.is_whole:
+        return float(target[place][0] - 0.5 * gram[place, place][0, 0])
+    kept = np.flatnonzero(share[place] > _OWN_SHARE) + place.start
+    if not len(kept):
+        return 0.0
+    solution, _, _ = solve(gram[np.ix_(kept, kept)], target[kept])
+    return 0.5 * float(solution @ target[kept])
+
+
+def screen(residual: Residual, noise: Noise, library: Library, base: Floats, rows: Floats) -> Gains:
+    """Return the gains of all candidates of the library under one noise."""
+    gram, target, share = grams(residual, noise, library, base, rows)
+    gains = np.array([gain_of(c, gram, target, share) for c in library.candidates])
+    surprises = [
+        surprise(gain, candidate.freedom)
+        for gain, candidate in zip(gains, library.candidates, strict=True)
+    ]
+    return Gains(gains, np.array(surprises))
