@@ -1,0 +1,209 @@
+"""Prove the locator: hide physics in sealed recordings, diagnose them, unseal, score.
+
+The recordings are made by a generator that shares no code with the fitting. Their truth is written
+and hashed before the first diagnosis; the hash is printed and checked again before it is read.
+Rivals choose among the same effects: stepwise regression by F-test or BIC, the lasso; the oracle
+knows each effect's shape and the noise. Shares stand with their Wilson 95 % intervals.
+
+  ahrs-service prove --count 100 --jobs 2
+  ahrs-service prove --cases FOLDER      score NAME.tlog with NAME.truth.json beside it
+"""
+
+import argparse
+import json
+import tempfile
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager, nullcontext
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from ahrs_service.app.blind_files import (
+    TRUTH_SUFFIX,
+    read_truth,
+    recordings,
+    seal,
+    write_case,
+)
+from ahrs_service.app.blind_rivals import Answer, answer
+from ahrs_service.app.blind_tables import misses_table, score_table, where_table
+from ahrs_service.app.config_file import ConfigError
+from ahrs_service.diagnosis.blind.case import Request, make
+from ahrs_service.diagnosis.blind.held_out import gain_share
+from ahrs_service.diagnosis.blind.oracle import oracle_report
+from ahrs_service.diagnosis.blind.plan import controls, plan
+from ahrs_service.diagnosis.blind.scoring import Mark, judge, score
+from links.errors import RecordingError
+
+EXIT_DONE: Final = 0
+EXIT_FAILED: Final = 1
+OURS: Final = "diagnose"
+ORACLE: Final = "oracle"
+
+
+@dataclass(frozen=True, slots=True)
+class Proof:
+    """Everything that the tables show: marks per rival, share of the oracle's gain, failures."""
+
+    seal: str
+    marks: dict[str, list[Mark]]
+    seconds: dict[str, float]
+    failures: dict[str, str]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `ahrs-service prove`."""
+    parser.add_argument(
+        "--count", type=_whole, default=60, metavar="N", help="recordings to make (default 60)"
+    )
+    parser.add_argument(
+        "--seconds", type=_whole, metavar="S", help="length of each (default 200 to 400 by kind)"
+    )
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the set (default 1)")
+    parser.add_argument(
+        "--controls",
+        type=int,
+        default=0,
+        metavar="N",
+        help="as well N negative controls: nulls whose covariates are another flight's, reversed "
+        "in time, or of flipped temperature",
+    )
+    parser.add_argument("--cases", type=Path, metavar="DIR", help="score recordings that are there")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep recordings, truths, reports")
+    parser.add_argument("--jobs", type=_whole, default=1, metavar="N", help="processes (default 1)")
+    parser.add_argument("--no-rivals", action="store_true", help="leave the baselines out")
+    parser.add_argument("--json", type=Path, metavar="OUT", help="write marks and score")
+
+
+def _whole(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not a whole number above 0")
+    return value
+
+
+def run(args: argparse.Namespace) -> int:
+    """Make or take a set, diagnose, score; 0 if every recording got a report, 1 if not."""
+    console = Console()
+    with _folder(args) as folder:
+        requests = {} if args.cases else _make(args, folder, console)
+        truths = args.cases or folder / "truths"
+        sealed = seal(truths)
+        console.print(f"truths sealed: sha256 {sealed}", soft_wrap=True)
+        answers = _ask(recordings_of(args.cases or folder, truths), args, console)
+        if seal(truths) != sealed:
+            raise RecordingError(f"{truths}: a truth changed while the set was diagnosed")
+        proof = _judge(answers, truths, requests, sealed)
+        if args.keep:
+            _write_reports(answers, folder)
+    console.print(score_table(proof.marks, len(answers)))
+    console.print(where_table(proof.marks[OURS]))
+    console.print(misses_table(proof.marks[OURS], proof.failures))
+    if args.json:
+        _write_json(args.json, proof)
+    return EXIT_FAILED if proof.failures else EXIT_DONE
+
+
+@contextmanager
+def _folder(args: argparse.Namespace) -> Iterator[Path]:
+    if args.keep:
+        try:
+            args.keep.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"--keep {args.keep}: {error.strerror}") from error
+    keeper = nullcontext(str(args.keep)) if args.keep else tempfile.TemporaryDirectory()
+    with keeper as folder:
+        yield Path(folder)
+
+
+def _make(args: argparse.Namespace, folder: Path, console: Console) -> dict[str, Request]:
+    requests = [*plan(args.count, args.seed, args.seconds), *controls(args.controls, args.seed)]
+    truths = folder / "truths"
+    truths.mkdir(exist_ok=True)
+    for request in _track(requests, "hiding", console):
+        write_case(folder, truths, make(request))
+    return {request.name: request for request in requests}
+
+
+def recordings_of(folder: Path, truths: Path) -> list[Path]:
+    """Return the recordings to diagnose: those of `folder` with a truth in `truths`."""
+    if folder == truths:
+        return recordings(folder)
+    return sorted(folder.glob("*.tlog"))
+
+
+def _ask(paths: list[Path], args: argparse.Namespace, console: Console) -> list[Answer]:
+    """Diagnose every recording, in `--jobs` processes."""
+    rivals = not args.no_rivals
+    if args.jobs == 1:
+        return [answer(path, rivals) for path in _track(paths, "diagnosing", console)]
+    with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
+        tasks = [pool.submit(answer, path, rivals) for path in paths]
+        done = [task.result() for task in _track(as_completed(tasks), "diagnosing", console, tasks)]
+    return sorted(done, key=lambda one: one.name)
+
+
+def _track(items: Any, what: str, console: Console, counted: Any = None) -> Iterator[Any]:
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    errors = Console(stderr=True)
+    with Progress(*columns, console=errors, disable=not errors.is_terminal) as bar:
+        task = bar.add_task(what, total=len(counted if counted is not None else items))
+        for item in items:
+            yield item
+            bar.advance(task)
+
+
+def _judge(answers: list[Answer], truths: Path, requests: dict[str, Request], sealed: str) -> Proof:
+    marks: dict[str, list[Mark]] = {}
+    for number, one in enumerate(answers):
+        truth = read_truth(truths / f"{one.name}{TRUTH_SUFFIX}")
+        reports = dict(one.reports)
+        oracle = oracle_report(truth, np.random.default_rng((number, 3)))
+        if oracle is not None:
+            reports[ORACLE] = oracle
+        for title, report in reports.items():
+            mark = judge(one.name, truth, report)
+            if title == OURS and one.name in requests and mark.first is not None:
+                mark = mark.with_gain(gain_share(make(requests[one.name]), report))
+            marks.setdefault(title, []).append(mark)
+    failures = {one.name: one.failure for one in answers if one.failure}
+    return Proof(sealed, marks, {one.name: one.seconds for one in answers}, failures)
+
+
+def _write_reports(answers: list[Answer], folder: Path) -> None:
+    for one in answers:
+        text = json.dumps(one.reports[OURS], indent=1)
+        (folder / f"{one.name}.report.json").write_text(text, encoding="utf-8")
+
+
+def _write_json(path: Path, proof: Proof) -> None:
+    rows = {
+        title: [
+            {
+                "title": row.title,
+                "hits": row.rate.hits,
+                "of": row.rate.total,
+                "wilson_95": row.rate.interval(),
+                "asked": row.asked,
+            }
+            for row in score(marks)
+        ]
+        for title, marks in proof.marks.items()
+    }
+    document = {
+        "seal_sha256": proof.seal,
+        "score": rows,
+        "marks": {title: [asdict(m) for m in marks] for title, marks in proof.marks.items()},
+        "seconds": proof.seconds,
+        "failures": proof.failures,
+    }
+    try:
+        path.write_text(json.dumps(document, indent=1), encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"--json {path}: {error.strerror}; give a place to write to") from error
