@@ -12,13 +12,13 @@ knows each effect's shape and the noise. Shares stand with their Wilson 95 % int
 import argparse
 import json
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, Final
+from typing import Final, TypeVar
 
 import numpy as np
 from rich.console import Console
@@ -31,7 +31,7 @@ from ahrs_service.app.blind_files import (
     seal,
     write_case,
 )
-from ahrs_service.app.blind_rivals import Answer, answer
+from ahrs_service.app.blind_rivals import OURS, Answer, answer
 from ahrs_service.app.blind_tables import misses_table, score_table, where_table
 from ahrs_service.app.config_file import ConfigError
 from ahrs_service.diagnosis.blind.case import Request, make
@@ -43,13 +43,14 @@ from links.errors import RecordingError
 
 EXIT_DONE: Final = 0
 EXIT_FAILED: Final = 1
-OURS: Final = "diagnose"
 ORACLE: Final = "oracle"
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """Everything that the tables show: marks per rival, share of the oracle's gain, failures."""
+    """All that the tables show: the seal, marks by rival, seconds and failures by recording."""
 
     seal: str
     marks: dict[str, list[Mark]]
@@ -96,12 +97,11 @@ def run(args: argparse.Namespace) -> int:
         truths = args.cases or folder / "truths"
         sealed = seal(truths)
         console.print(f"truths sealed: sha256 {sealed}", soft_wrap=True)
-        answers = _ask(recordings_of(args.cases or folder, truths), args, console)
+        made = [folder / f"{name}.tlog" for name in requests]
+        answers = _ask(recordings(args.cases) if args.cases else made, args, console)
         if seal(truths) != sealed:
             raise RecordingError(f"{truths}: a truth changed while the set was diagnosed")
         proof = _judge(answers, truths, requests, sealed)
-        if args.keep:
-            _write_reports(answers, folder)
     console.print(score_table(proof.marks, len(answers)))
     console.print(where_table(proof.marks[OURS]))
     console.print(misses_table(proof.marks[OURS], proof.failures))
@@ -125,35 +125,42 @@ def _folder(args: argparse.Namespace) -> Iterator[Path]:
 def _make(args: argparse.Namespace, folder: Path, console: Console) -> dict[str, Request]:
     requests = [*plan(args.count, args.seed, args.seconds), *controls(args.controls, args.seed)]
     truths = folder / "truths"
-    truths.mkdir(exist_ok=True)
-    for request in _track(requests, "hiding", console):
+    if truths.exists():
+        raise ConfigError(f"--keep {folder}: holds a set already; give an empty folder")
+    truths.mkdir()
+    for request in _track(requests, len(requests), "hiding", console):
         write_case(folder, truths, make(request))
     return {request.name: request for request in requests}
 
 
-def recordings_of(folder: Path, truths: Path) -> list[Path]:
-    """Return the recordings to diagnose: those of `folder` with a truth in `truths`."""
-    if folder == truths:
-        return recordings(folder)
-    return sorted(folder.glob("*.tlog"))
-
-
 def _ask(paths: list[Path], args: argparse.Namespace, console: Console) -> list[Answer]:
-    """Diagnose every recording, in `--jobs` processes."""
-    rivals = not args.no_rivals
-    if args.jobs == 1:
-        return [answer(path, rivals) for path in _track(paths, "diagnosing", console)]
-    with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
+    """Diagnose every recording, in `--jobs` processes; reports are kept as they come."""
+    rivals, answers = not args.no_rivals, []
+    with _answers(paths, rivals, args.jobs) as coming:
+        for one in _track(coming, len(paths), "diagnosing", console):
+            answers.append(one)
+            if args.keep:
+                text = json.dumps(one.reports[OURS], indent=1)
+                (args.keep / f"{one.name}.report.json").write_text(text, encoding="utf-8")
+    return sorted(answers, key=lambda one: one.name)
+
+
+@contextmanager
+def _answers(paths: list[Path], rivals: bool, jobs: int) -> Iterator[Iterator[Answer]]:
+    if jobs == 1:
+        yield (answer(path, rivals) for path in paths)
+        return
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         tasks = [pool.submit(answer, path, rivals) for path in paths]
-        done = [task.result() for task in _track(as_completed(tasks), "diagnosing", console, tasks)]
-    return sorted(done, key=lambda one: one.name)
+        yield (task.result() for task in as_completed(tasks))
 
 
-def _track(items: Any, what: str, console: Console, counted: Any = None) -> Iterator[Any]:
+def _track(items: Iterable[T], total: int, what: str, console: Console) -> Iterator[T]:
     columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    errors = Console(stderr=True)
-    with Progress(*columns, console=errors, disable=not errors.is_terminal) as bar:
-        task = bar.add_task(what, total=len(counted if counted is not None else items))
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        task = bar.add_task(what, total=total)
         for item in items:
             yield item
             bar.advance(task)
@@ -174,12 +181,6 @@ def _judge(answers: list[Answer], truths: Path, requests: dict[str, Request], se
             marks.setdefault(title, []).append(mark)
     failures = {one.name: one.failure for one in answers if one.failure}
     return Proof(sealed, marks, {one.name: one.seconds for one in answers}, failures)
-
-
-def _write_reports(answers: list[Answer], folder: Path) -> None:
-    for one in answers:
-        text = json.dumps(one.reports[OURS], indent=1)
-        (folder / f"{one.name}.report.json").write_text(text, encoding="utf-8")
 
 
 def _write_json(path: Path, proof: Proof) -> None:
