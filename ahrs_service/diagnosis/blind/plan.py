@@ -40,13 +40,13 @@ _PAIRS: Final = (
 """Two effects whose signals differ, as (kind of recording, effects)."""
 
 _ALIKE: Final = (
-    ("flight", "gyro_thermal_bias"),
-    ("copter", "accel_thermal_bias"),
-    ("flight", "accel_warm_up"),
-    ("copter", "gyro_warm_up"),
     ("flight", "gyro_thermal_rate"),
+    ("copter", "accel_thermal_rate"),
+    ("copter", "gyro_thermal_rate"),
+    ("flight", "accel_thermal_rate"),
 )
-"""Effects in recordings that warm up once, exponentially: bias, lag, rate and warm-up are one."""
+"""In a flight the board warms as 1 - exp(-t / tau): its slope, a bias with it and a warm-up that
+decays with the same tau are one curve."""
 
 _KNOWN: Final = {
     "bench": "thermal_bias",
