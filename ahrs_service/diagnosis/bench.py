@@ -12,15 +12,16 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ahrs_service.diagnosis.kalman import whiten_channel
-from ahrs_service.diagnosis.motion import GRAVITY_NED, covariates
+from ahrs_service.diagnosis.motion import GRAVITY_NED, covariates, slow_motion
 from ahrs_service.diagnosis.recorded import Recorded
 from ahrs_service.diagnosis.reference import Reference, body_vectors, excursions, jumps, turns
-from ahrs_service.diagnosis.residual import Noise
+from ahrs_service.diagnosis.residual import Grams, Noise
 from ahrs_service.effects.base import Addition
 from ahrs_service.records import Floats
 
 _STEP_S: Final = 0.08
 _MOST_ROWS: Final = 20000
+_MOST_KNOWN: Final = 100
 
 
 class BenchResidual:
@@ -53,10 +54,9 @@ class BenchResidual:
         self._window = max(1, round(window_s / step_s))
         self._step_s = self._window * step_s
         self.time_s = self._windows(time_s)
-        misfit = np.hstack(
-            [recorded.gyro_rad_s[inside] - rate, recorded.accel_m_s2[inside] - force]
-        )
-        self.rows = self._windows(misfit)
+        readings = np.hstack([recorded.gyro_rad_s[inside], recorded.accel_m_s2[inside]])
+        self.largest = np.abs(slow_motion(time_s, readings, time_s)).max(axis=0)
+        self.rows = self._windows(readings - np.hstack([rate, force]))
         self.body = self.rows
         self.missing = self._without_reference(reference, time_s)
 
@@ -118,22 +118,47 @@ class BenchResidual:
     def choose(self, likelihood: Callable[[], float]) -> None:
         """Nothing to choose."""
 
-    def whiten(self, noise: Noise, rows: Floats) -> tuple[Floats, float]:
-        """Return `rows` [N, 6, K] whitened, and the log determinant of the noise's covariance."""
+    def _white_channel(self, values: Floats, channel: int, rows: Floats) -> tuple[Floats, Floats]:
+        """Return one channel's rows [N, K] whitened by noise `values`, and log variances [N]."""
+        first = 5 * (channel // 3)
+        white, wander, time_s = values[[first + channel % 3, first + 3, first + 4]]
+        out, log_variance = np.empty(rows.shape), np.empty(len(rows))
+        keep = float(np.exp(-self._step_s / time_s))
+        whiten_channel(rows, self.missing, white**2, wander**2, keep, out, log_variance)
+        return out, log_variance
+
+    def grams(self, rows: Floats) -> Grams:
+        """Return the function from noise to the Gram matrix of `rows` [N, 6, K] whitened.
+
+        Channels are whitened by themselves, without the columns that leave them alone, and again
+        only when a parameter of theirs has changed.
+        """
+        used = [np.flatnonzero(np.any(rows[:, channel] != 0.0, axis=0)) for channel in range(6)]
+        parts = [np.ascontiguousarray(rows[:, c, used[c]]) for c in range(6)]
+        known: dict[tuple[int, float, float, float], tuple[Floats, float]] = {}
+
+        def gram(noise: Noise) -> tuple[Floats, float]:
+            values, total, log_det = np.exp(noise), np.zeros(2 * rows.shape[2:]), 0.0
+            if len(known) > _MOST_KNOWN:
+                known.clear()
+            for channel in range(6):
+                first = 5 * (channel // 3)
+                key = (channel, noise[first + channel % 3], noise[first + 3], noise[first + 4])
+                if key not in known:
+                    white, log_variance = self._white_channel(values, channel, parts[channel])
+                    known[key] = (white.T @ white, float(log_variance.sum()))
+                part, part_log_det = known[key]
+                total[np.ix_(used[channel], used[channel])] += part
+                log_det += part_log_det
+            return total, log_det
+
+        return gram
+
+    def whiten(self, noise: Noise, rows: Floats) -> tuple[Floats, Floats]:
+        """Return `rows` [N, 6, K] whitened, and the log variances [N, 6] of the innovations."""
         values = np.exp(noise)
-        out = np.empty(rows.shape)
-        log_det = 0.0
+        out, log_variance = np.empty(rows.shape), np.empty(rows.shape[:2])
         for channel in range(6):
-            base = 5 * (channel // 3)
-            keep = np.exp(-self._step_s / values[base + 4])
-            white = np.empty(rows.shape[::2])
-            log_det += whiten_channel(
-                np.ascontiguousarray(rows[:, channel]),
-                self.missing,
-                values[base + channel % 3] ** 2,
-                values[base + 3] ** 2,
-                keep,
-                white,
-            )
-            out[:, channel] = white
-        return out, log_det
+            part = np.ascontiguousarray(rows[:, channel])
+            out[:, channel], log_variance[:, channel] = self._white_channel(values, channel, part)
+        return out, log_variance

@@ -22,7 +22,7 @@ from ahrs_service.diagnosis.reference import (
     jumps,
     rotation_vectors,
 )
-from ahrs_service.diagnosis.residual import Noise
+from ahrs_service.diagnosis.residual import Grams, Noise
 from ahrs_service.effects.base import Addition
 from ahrs_service.records import Floats
 from ahrs_service.rotation import inverse_columns, multiply_columns, rotate_columns
@@ -82,6 +82,7 @@ class FlightResidual:
             slow_motion(recorded.imu_time_s, values, grid_s)
             for values in (recorded.gyro_rad_s, recorded.accel_m_s2)
         )
+        self.largest = np.abs(np.hstack([rate, force])).max(axis=0)
         bias = self._mean_bias(increments, away)
         self.columns = covariates(recorded, grid_s, rate - bias[:3], force - bias[3:], q)
         self.witnessed = witnessed(reference, self.columns)
@@ -181,8 +182,19 @@ class FlightResidual:
             values[is_in_body] = likelihood()
         self._is_error_in_body = values[True] >= values[False]
 
-    def whiten(self, noise: Noise, rows: Floats) -> tuple[Floats, float]:
-        """Return `rows` [N, 6, K] whitened, and the log determinant of the noise's covariance."""
+    def grams(self, rows: Floats) -> Grams:
+        """Return the function from noise to the Gram matrix of `rows` [N, 6, K] whitened."""
+        rows = np.ascontiguousarray(rows)
+
+        def gram(noise: Noise) -> tuple[Floats, float]:
+            white, log_variance = self.whiten(noise, rows)
+            flat = white.reshape(-1, rows.shape[2])
+            return np.asarray(flat.T @ flat), float(log_variance.sum())
+
+        return gram
+
+    def whiten(self, noise: Noise, rows: Floats) -> tuple[Floats, Floats]:
+        """Return `rows` [N, 6, K] whitened, and the log variances [N, 6] of the innovations."""
         e, e_s, e_white, g, b, b_s, v, v_s, v_white, a, c, c_s = np.exp(noise)
         step = self._step_s
         keep = np.exp(-step / np.array([e_s, b_s, v_s, c_s]))
@@ -194,8 +206,8 @@ class FlightResidual:
         mean_of_walk = (1.0 - 1.0 / self._window**2) / 6.0
         white = np.array([e_white**2, v_white**2])
         white -= mean_of_walk * np.array([drive[0] + drive[1], drive[3] + drive[4]])
-        out = np.empty(rows.shape)
-        log_det = whiten_flight(
+        out, log_variance = np.empty(rows.shape), np.empty(rows.shape[:2])
+        whiten_flight(
             np.ascontiguousarray(rows),
             self._turn,
             self._tilt @ self._turn if self._is_error_in_body else self._tilt,
@@ -208,8 +220,9 @@ class FlightResidual:
             start,
             white,
             out,
+            log_variance,
         )
-        return out, log_det
+        return out, log_variance
 
 
 def is_flight(reference: Reference) -> bool:

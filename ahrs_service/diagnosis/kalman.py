@@ -20,33 +20,38 @@ error 3, integrated accelerometer error 3, accelerometer wander 3."""
 
 @kernel
 def whiten_channel(
-    rows: Floats, missing: Floats, white: float, wander: float, keep: float, out: Floats
-) -> float:
-    """Whiten `rows` [N, K] of white noise and a first-order Gauss-Markov bias; return log det.
+    rows: Floats,
+    missing: Floats,
+    white: float,
+    wander: float,
+    keep: float,
+    out: Floats,
+    log_variance: Floats,
+) -> None:
+    """Whiten `rows` [N, K] of white noise and a first-order Gauss-Markov bias into `out`.
 
     Variances `white` and `wander` of one row, `keep` exp(-step / time). Rows where `missing` [N]
-    is not 0 give no innovation.
+    is not 0 give no innovation. `log_variance` [N] of the innovations, 0 where there is none.
     """
     count, columns = rows.shape
     mean = np.zeros(columns)
     variance, drive = wander, wander * (1.0 - keep * keep)
-    log_det = 0.0
     for i in range(count):
         if missing[i] != 0.0:
             for k in range(columns):
                 out[i, k] = 0.0
                 mean[k] *= keep
+            log_variance[i] = 0.0
             variance = keep * keep * variance + drive
             continue
         total = variance + white
         gain, scale = variance / total, 1.0 / math.sqrt(total)
-        log_det += math.log(total)
+        log_variance[i] = math.log(total)
         for k in range(columns):
             innovation = rows[i, k] - mean[k]
             out[i, k] = innovation * scale
             mean[k] = keep * (mean[k] + gain * innovation)
         variance = keep * keep * (variance - gain * variance) + drive
-    return log_det
 
 
 @kernel
@@ -106,7 +111,8 @@ def whiten_flight(
     start: Floats,
     white: Floats,
     out: Floats,
-) -> float:
+    log_variance: Floats,
+) -> None:
     """Whiten integrated residuals [N, 6, K] (angle [rad], velocity [m/s], earth axes).
 
     With e the reference's attitude error, v its velocity error, b and c the wander of gyros and
@@ -118,7 +124,8 @@ def whiten_flight(
     `turn` [N, 3, 3] R and `tilt` [N, 3, 3] the integral of -[f x], both of the step that ends at
     the row. `keep` [4] of e, b, v, c; `drive`, `start` [6] variances added per step and at first,
     of the six state vectors; `white` [2] of the two measurements. Rows with `begins` not 0 start
-    from unknown angle and velocity, rows with `missing` not 0 give no innovation. Returns log det.
+    from unknown angle and velocity, rows with `missing` not 0 give no innovation. `log_variance`
+    [N, 6] of the innovations, 0 where there is none.
     """
     count, columns = rows.shape[0], rows.shape[2]
     p = np.zeros((STATES, STATES))
@@ -127,7 +134,6 @@ def whiten_flight(
     for part in range(6):
         for i in range(3):
             p[3 * part + i, 3 * part + i] = start[part]
-    log_det = 0.0
     for n in range(count):
         if n > 0:
             _propagate(p, turn[n], tilt[n], keep, drive, step_s)
@@ -139,6 +145,7 @@ def whiten_flight(
             if missing[n] != 0.0:
                 for k in range(columns):
                     out[n, m, k] = 0.0
+                log_variance[n, m] = 0.0
                 continue
             whole, error = (3 + m, m) if m < 3 else (9 + m, 6 + m)
             for i in range(STATES):
@@ -155,7 +162,7 @@ def whiten_flight(
             else:
                 total -= gain[error]
             scale = 1.0 / math.sqrt(total)
-            log_det += math.log(total)
+            log_variance[n, m] = math.log(total)
             for i in range(STATES):
                 gain[i] *= scale
             for k in range(columns):
@@ -172,4 +179,3 @@ def whiten_flight(
             for i in range(STATES):
                 for j in range(STATES):
                     p[i, j] -= gain[i] * gain[j]
-    return log_det

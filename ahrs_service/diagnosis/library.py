@@ -14,6 +14,7 @@ from ahrs_service.records import Floats
 
 _KNOTS: Final = 5
 _LEAST_SPREAD: Final = 1e-6
+_LIMITS: Final = (0.97, 1.0, 1.03)
 
 
 Entry = tuple[Parameter, tuple[int, ...]]
@@ -86,6 +87,20 @@ def sources(residual: Residual, effect: Effect) -> Columns:
     return residual.witnessed if effect.name == "saturation" else residual.columns
 
 
+def least_limit(residual: Residual, effect: Effect) -> float:
+    """Return the largest reading of an effect's triad: no smaller limit can have cut it."""
+    part = slice(0, 3) if effect.triad == "gyro" else slice(3, 6)
+    return float(residual.largest[part].max())
+
+
+def forms_of(residual: Residual, effect: Effect) -> list[dict[str, float]]:
+    """Return the forms of an effect to search over; a limit lies just above what was read."""
+    if effect.name != "saturation":
+        return effect.grid(residual.columns)
+    part = slice(0, 3) if effect.triad == "gyro" else slice(3, 6)
+    return [{"limit": float(r * s)} for r in residual.largest[part] for s in _LIMITS]
+
+
 def missing_covariate(effect: Effect, columns: Columns) -> str | None:
     """Return why an effect cannot be computed or shown here, None where it can."""
     for name in effect.needs:
@@ -117,7 +132,7 @@ def library_of(residual: Residual, names: Sequence[str] = tuple(EFFECTS)) -> Lib
             library.refused[name] = why
             continue
         has_coefficients = bool(linear_entries(effect))
-        for form in effect.grid(sources(residual, effect)):
+        for form in forms_of(residual, effect):
             added = responses(residual, effect, form)
             freedom = len(form) + (len(added) if has_coefficients else 0)
             place = slice(used, used + len(added))

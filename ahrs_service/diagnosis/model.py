@@ -15,6 +15,7 @@ _TURNS: Final = 6
 _SETTLED_SIGMA: Final = 0.05
 _RELATIVE_STEP: Final = 1e-3
 _UNDO_TURNS: Final = 3
+_REFIT_TURNS: Final = 8
 _DYNAMIC: Final = ("low_pass", "time_offset", "clock_drift", "mounting_rotation")
 """Effects large enough, and of a kind, that the reading is no substitute for the ideal motion."""
 
@@ -192,7 +193,7 @@ def settle(
 def refit(residual: Residual, model: Model, turns: int = 2) -> Model:
     """Fit numbers and noise in turn."""
     for _ in range(turns):
-        noise = fit_noise(residual, model.base, model.misfit, model.noise)
+        noise = fit_noise(residual, model.base, model.misfit, model.noise, _REFIT_TURNS)
         before = model.log_likelihood
         model = settle(residual, model.terms, noise, model.unknown, model.unknown_rows)
         if model.log_likelihood - before < 0.3:

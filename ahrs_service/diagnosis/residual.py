@@ -14,6 +14,10 @@ Noise = Floats
 """Logarithms of the noise parameters of a residual, in the order of its `noise_names`."""
 
 
+Grams = Callable[[Noise], tuple[Floats, float]]
+"""From noise to the Gram matrix [K, K] of whitened rows, and the noise's log determinant."""
+
+
 class Residual(Protocol):
     """A misfit of IMU and reference [N, 6] (gyro, accel) with its noise.
 
@@ -28,6 +32,7 @@ class Residual(Protocol):
     columns: Columns
     witnessed: Columns
     missing: Floats
+    largest: Floats
     noise_names: Sequence[str]
 
     def project(self, addition: Addition) -> Floats:
@@ -45,8 +50,11 @@ class Residual(Protocol):
     def choose(self, likelihood: Callable[[], float]) -> None:
         """Settle between forms of the noise by the `likelihood` under each."""
 
-    def whiten(self, noise: Noise, rows: Floats) -> tuple[Floats, float]:
-        """Return `rows` [N, 6, K] whitened, and the log determinant of the noise's covariance."""
+    def grams(self, rows: Floats) -> Grams:
+        """Return the function from noise to the Gram matrix of `rows` [N, 6, K] whitened."""
+
+    def whiten(self, noise: Noise, rows: Floats) -> tuple[Floats, Floats]:
+        """Return `rows` [N, 6, K] whitened, and the log variances [N, 6] of the innovations."""
 
 
 def bias_rows(residual: Residual) -> Floats:

@@ -45,9 +45,7 @@ def grams(
     All after the nuisances `base` [N, 6, B] are fitted, under `noise`, to `rows` [N, 6].
     """
     stack = np.concatenate([base, library.rows, rows[:, :, None]], axis=2)
-    white, _ = residual.whiten(noise, stack)
-    white = white.reshape(-1, stack.shape[2])
-    gram = white.T @ white
+    gram, _ = residual.grams(stack)(noise)
     count = base.shape[2]
     _, inverse, _ = solve(gram[:count, :count], gram[:count, -1])
     cross = gram[count:, :count]

@@ -6,13 +6,13 @@ of a model without it.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from ahrs_service.diagnosis.library import Candidate, Library, Term
-from ahrs_service.diagnosis.model import Model, bare, refit, settle
+from ahrs_service.diagnosis.library import Candidate, Library, Term, least_limit
+from ahrs_service.diagnosis.model import Model, bare, choose, free_numbers, refit, settle
 from ahrs_service.diagnosis.residual import Residual
 from ahrs_service.diagnosis.screen import Gains, screen, surprise
 
@@ -28,8 +28,13 @@ ALIKE: Final = 4.0
 
 _TRIED: Final = 5
 _CLOSE: Final = 0.6
-_MOST_EFFECTS: Final = 4
+_MOST_STEPS: Final = 5
 _KEPT_SHARE: Final = 0.25
+_APART: Final = 0.15
+_ALIKE_SHARE: Final = 0.7
+_FAR_MORE: Final = 1.15
+_SHARE_OF_UNKNOWN: Final = 0.3
+_LEAST_OF_LARGEST: Final = 0.96
 
 Progress = Callable[[float], None]
 
@@ -79,14 +84,29 @@ def term_of(candidate: Candidate) -> Term:
     )
 
 
-def extend(residual: Residual, model: Model, candidate: Candidate, has_noise: bool) -> Step:
+def extend(
+    residual: Residual, library: Library, model: Model, candidate: Candidate, has_noise: bool
+) -> Step:
     """Return `model` with a candidate more, fitted; with the noise fitted again if `has_noise`."""
-    terms = (*model.terms, term_of(candidate))
-    longer = settle(residual, terms, model.noise, model.unknown, model.unknown_rows)
+    terms, unknown, rows = model.terms, model.unknown, model.unknown_rows
+    if candidate.effect is None:
+        unknown = (*unknown, candidate.name)
+        rows = np.concatenate([rows, library.rows[:, :, candidate.columns]], axis=2)
+    else:
+        terms = (*terms, term_of(candidate))
+    longer = settle(residual, terms, model.noise, unknown, rows)
     if has_noise:
         longer = refit(residual, longer)
-    gain = longer.log_likelihood - model.log_likelihood
-    return Step(candidate, longer, gain, surprise(gain, candidate.freedom))
+    return _step(residual, model, candidate, longer)
+
+
+def _step(residual: Residual, before: Model, candidate: Candidate, after: Model) -> Step:
+    gain = after.log_likelihood - before.log_likelihood
+    if candidate.effect is not None and candidate.effect.name == "saturation":
+        limit = float(after.terms[-1].values["limit"])
+        if limit < _LEAST_OF_LARGEST * least_limit(residual, candidate.effect):
+            gain = 0.0
+    return Step(candidate, after, gain, surprise(gain, candidate.freedom))
 
 
 def _named(ranking: list[tuple[Candidate, float]], model: Model) -> list[tuple[Candidate, float]]:
@@ -97,24 +117,45 @@ def _named(ranking: list[tuple[Candidate, float]], model: Model) -> list[tuple[C
 def best_step(residual: Residual, library: Library, model: Model, least: float) -> Step | None:
     """Return the best further effect, None where no hypothesis reaches the surprise `least`.
 
-    Screened, then settled, then those within reach of the best fitted with their noise.
+    Screened, then settled, then those within reach of the best fitted with their noise. Where a
+    smooth unknown dependence explains far more than any of them, that is returned instead.
     """
     gains = screen(residual, model.noise, library, model.base, model.misfit)
-    ranking = _named(best_forms(library, gains), model)[:_TRIED]
-    ranking = [(c, value) for c, value in ranking if value > 0.5 * least]
-    if not ranking:
-        return None
-    steps = [extend(residual, model, c, has_noise=False) for c, _ in ranking]
-    steps.sort(key=lambda step: -step.surprise)
-    top = steps[0].surprise
-    close = [step for step in steps if step.surprise > _CLOSE * top]
-    fitted = []
-    for step in close[:3]:
-        whole = refit(residual, step.model)
-        gain = whole.log_likelihood - model.log_likelihood
-        fitted.append(Step(step.candidate, whole, gain, surprise(gain, step.candidate.freedom)))
-    best = max(fitted, key=lambda step: step.surprise)
-    return best if best.surprise > least else None
+    forms = best_forms(library, gains)
+    ranking = [(c, value) for c, value in _named(forms, model) if value > 0.5 * least][:_TRIED]
+    best = None
+    if ranking:
+        steps = [extend(residual, library, model, c, has_noise=False) for c, _ in ranking]
+        top = max(step.surprise for step in steps)
+        close = sorted(steps, key=lambda step: -step.surprise)[:3]
+        fitted = [
+            _step(residual, model, step.candidate, refit(residual, step.model))
+            for step in close
+            if step.surprise > _CLOSE * top
+        ]
+        best = max(fitted, key=lambda step: step.surprise)
+    unknown = _best_unknown(residual, library, model, forms, best)
+    if unknown is not None:
+        return unknown
+    return best if best is not None and best.surprise > least else None
+
+
+def _best_unknown(
+    residual: Residual,
+    library: Library,
+    model: Model,
+    forms: list[tuple[Candidate, float]],
+    named: Step | None,
+) -> Step | None:
+    """Return the best unknown dependence where it explains far more than the best name."""
+    beside = 0.0 if named is None else named.surprise
+    least = max(UNKNOWN_ALARM, _FAR_MORE * beside + UNKNOWN_ALARM)
+    ranking = [(c, v) for c, v in forms if c.effect is None and c.name not in model.unknown]
+    steps = [
+        extend(residual, library, model, c, has_noise=True) for c, v in ranking[:2] if v > least / 2
+    ]
+    best = max(steps, key=lambda step: step.surprise, default=None)
+    return best if best is not None and best.surprise > least else None
 
 
 def _without(residual: Residual, model: Model, place: int) -> Model:
@@ -122,102 +163,115 @@ def _without(residual: Residual, model: Model, place: int) -> Model:
     return refit(residual, settle(residual, terms, model.noise, model.unknown, model.unknown_rows))
 
 
-def _with_unknown(
-    residual: Residual, library: Library, model: Model, candidate: Candidate
-) -> Model:
-    rows = np.concatenate([model.unknown_rows, library.rows[:, :, candidate.columns]], axis=2)
-    names = (*model.unknown, candidate.name)
-    return refit(residual, settle(residual, model.terms, model.noise, names, rows))
-
-
 def search(residual: Residual, library: Library, progress: Progress | None = None) -> Search:
     """Find the effects that explain a misfit, and what else it depends on."""
     tell = progress or (lambda share: None)
     empty = bare(residual)
     tell(0.25)
-    model, candidates, main = empty, list[Candidate](), 0.0
-    while len(model.terms) < _MOST_EFFECTS:
-        least = ALARM + SHARE_OF_MAIN * main
-        step = best_step(residual, library, model, least)
-        if step is None:
+    model, taken, unknown, main = empty, list[Step](), dict[str, float](), 0.0
+    unknowns: list[Step] = []
+    for turn in range(_MOST_STEPS):
+        step = best_step(residual, library, model, ALARM + SHARE_OF_MAIN * main)
+        if step is None or step.gain < _beside_unknown(step, unknowns):
             break
         main = max(main, step.gain)
-        model, candidates = step.model, [*candidates, step.candidate]
-        if len(candidates) > 1:
-            model, candidates = _swap(residual, library, model, candidates)
-        tell(0.25 + 0.12 * len(candidates))
-    model, candidates, unknown = _unknowns(residual, library, model, candidates, main)
+        model = step.model
+        choose(residual, model.noise, model.base, model.misfit)
+        if step.candidate.effect is None:
+            unknown[step.candidate.name] = step.surprise
+            unknowns.append(step)
+        else:
+            taken.append(step)
+            model, taken = _swap(residual, library, model, taken)
+        tell(0.25 + 0.1 * (turn + 1))
+    model, taken, unknown = _pruned(residual, model, taken, unknown)
     tell(0.8)
     steps, alike, rivals = [], [], []
-    for place, candidate in enumerate(candidates):
+    for place, step in enumerate(taken):
         shorter = _without(residual, model, place)
         gain = model.log_likelihood - shorter.log_likelihood
-        steps.append(Step(candidate, shorter, gain, surprise(gain, candidate.freedom)))
+        freedom = step.candidate.freedom
+        steps.append(Step(step.candidate, shorter, gain, surprise(gain, freedom)))
         same, rival = _alike(residual, library, shorter, steps[-1])
         alike.append(same)
         rivals.append(rival)
     return Search(empty, model, tuple(steps), tuple(alike), tuple(rivals), unknown)
 
 
+def _overlap(model: Model, place: int) -> float:
+    """Return the largest correlation between the numbers of one term and those of the others."""
+    own = np.array([number.term == place for number in free_numbers(model.terms)])
+    sigma = np.sqrt(np.maximum(np.diag(model.covariance), 1e-300))
+    correlation = model.covariance / sigma[:, None] / sigma[None, :]
+    return float(np.abs(correlation[np.ix_(own, ~own)]).max(initial=0.0))
+
+
+def _beside_unknown(step: Step, unknowns: list[Step]) -> float:
+    """Return the gain that a step needs where something unknown acts on its triad.
+
+    What a smooth form leaves of the unknown imitates much; only a part of its size is believed.
+    """
+    triad = step.candidate.name.split(" ")[0].split("_")[0]
+    there = [u.gain for u in unknowns if triad in (u.candidate.name.split(" ")[0], "imu")]
+    return _SHARE_OF_UNKNOWN * max(there, default=0.0)
+
+
 def _swap(
-    residual: Residual, library: Library, model: Model, candidates: list[Candidate]
-) -> tuple[Model, list[Candidate]]:
-    """Put another effect in the place of each but the last where that explains more."""
-    for place in range(len(candidates) - 1):
+    residual: Residual, library: Library, model: Model, taken: list[Step]
+) -> tuple[Model, list[Step]]:
+    """Put another effect in the place of each but the last where that explains more.
+
+    Only where their numbers are correlated could the first have stood in for both.
+    """
+    for place in range(len(taken) - 1):
+        if _overlap(model, place) < _APART:
+            continue
         shorter = _without(residual, model, place)
         step = best_step(residual, library, shorter, ALARM)
-        if step is None:
+        if step is None or step.candidate.effect is None:
             continue
-        own = surprise(model.log_likelihood - shorter.log_likelihood, candidates[place].freedom)
-        if step.surprise > own + ALIKE and step.candidate.name != candidates[place].name:
-            kept = candidates[:place] + candidates[place + 1 :]
-            return step.model, [*kept, step.candidate]
-    return model, candidates
+        name, freedom = taken[place].candidate.name, taken[place].candidate.freedom
+        own = surprise(model.log_likelihood - shorter.log_likelihood, freedom)
+        if step.surprise > own + ALIKE and step.candidate.name != name:
+            return step.model, [*taken[:place], *taken[place + 1 :], step]
+    return model, taken
 
 
-def _unknowns(
-    residual: Residual,
-    library: Library,
-    model: Model,
-    candidates: list[Candidate],
-    main: float,
-) -> tuple[Model, list[Candidate], dict[str, float]]:
-    """Test what is left against smooth dependences, and drop effects that only stood in for one."""
-    found: dict[str, float] = {}
-    for _ in range(2):
-        gains = screen(residual, model.noise, library, model.base, model.misfit)
-        ranking = [(c, v) for c, v in best_forms(library, gains) if c.effect is None]
-        ranking = [(c, v) for c, v in ranking if c.name not in model.unknown]
-        if not ranking or ranking[0][1] < UNKNOWN_ALARM + SHARE_OF_MAIN * main:
-            break
-        models = [_with_unknown(residual, library, model, c) for c, _ in ranking[:2]]
-        best = max(range(len(models)), key=lambda n: models[n].log_likelihood)
-        gain = models[best].log_likelihood - model.log_likelihood
-        value = surprise(gain, ranking[best][0].freedom)
-        if value < UNKNOWN_ALARM + SHARE_OF_MAIN * main:
-            break
-        found[ranking[best][0].name] = value
-        model, candidates = _drop(residual, models[best], candidates, model)
-    return model, candidates, found
-
-
-def _drop(
-    residual: Residual, model: Model, candidates: list[Candidate], before: Model
-) -> tuple[Model, list[Candidate]]:
-    """Leave out effects that gain little now of what they gained before."""
+def _pruned(
+    residual: Residual, model: Model, taken: list[Step], unknown: dict[str, float]
+) -> tuple[Model, list[Step], dict[str, float]]:
+    """Leave out what explains little beside the rest: unknown dependences first, then effects."""
+    if len(taken) + len(unknown) < 2:
+        return model, taken, unknown
+    for name in tuple(unknown):
+        shorter = _without_unknown(residual, model, name)
+        gain = model.log_likelihood - shorter.log_likelihood
+        freedom = _columns_of(model, name)
+        if surprise(gain, freedom) < UNKNOWN_ALARM:
+            model = shorter
+            unknown = {key: value for key, value in unknown.items() if key != name}
     place = 0
-    while place < len(candidates):
+    while place < len(taken):
         shorter = _without(residual, model, place)
         gain = model.log_likelihood - shorter.log_likelihood
-        old = before.log_likelihood - _without(residual, before, place).log_likelihood
-        least = max(_KEPT_SHARE * old, 0.0)
-        if gain < least or surprise(gain, candidates[place].freedom) < ALARM:
-            model = shorter
-            before = replace(before, terms=before.terms[:place] + before.terms[place + 1 :])
-            candidates = candidates[:place] + candidates[place + 1 :]
+        step = taken[place]
+        is_small = unknown and gain < _KEPT_SHARE * step.gain
+        if is_small or surprise(gain, step.candidate.freedom) < ALARM:
+            model, taken = shorter, taken[:place] + taken[place + 1 :]
         else:
             place += 1
-    return model, candidates
+    return model, taken, unknown
+
+
+def _columns_of(model: Model, name: str) -> int:
+    return model.unknown_rows.shape[2] // len(model.unknown)
+
+
+def _without_unknown(residual: Residual, model: Model, name: str) -> Model:
+    width, place = _columns_of(model, name), model.unknown.index(name)
+    rows = np.delete(model.unknown_rows, slice(place * width, (place + 1) * width), axis=2)
+    names = tuple(other for other in model.unknown if other != name)
+    return refit(residual, settle(residual, model.terms, model.noise, names, rows))
 
 
 def _alike(
@@ -228,12 +282,13 @@ def _alike(
     ranking = _named(best_forms(library, gains), shorter)
     name = step.candidate.name
     own = next((value for c, value in ranking if c.name == name), step.surprise)
-    others = [(c, v) for c, v in ranking if c.name != name and v > 0.5 * own][:_TRIED]
+    others = [(c, v) for c, v in ranking if c.name != name and v > 0.4 * own][:_TRIED]
+    mine = extend(residual, library, shorter, step.candidate, has_noise=False)
     same, rival = [], None
     for candidate, _ in others:
-        other = extend(residual, shorter, candidate, has_noise=False)
-        if other.surprise > 0.5 * step.surprise:
-            other = extend(residual, shorter, candidate, has_noise=True)
+        other = extend(residual, library, shorter, candidate, has_noise=False)
+        if other.surprise > _ALIKE_SHARE * mine.surprise:
+            other = extend(residual, library, shorter, candidate, has_noise=True)
         if rival is None or other.gain > rival[1]:
             rival = (candidate.name, other.gain)
         if other.surprise > step.surprise - ALIKE:

@@ -33,16 +33,10 @@ class Saturation(Effect):
                 largest,
                 "MPU-6000 data sheet",
                 neutral=np.inf,
-                grid=(0.5, 0.6, 0.7, 0.78, 0.85, 0.91, 0.96),
+                grid=(np.inf,),
                 bounds=(0.0, np.inf),
             ),
         )
-
-    def grid(self, columns: Columns) -> list[dict[str, float]]:
-        """Return limits as the grid's shares of the largest inputs of each axis."""
-        largest = np.abs(self.ideal(columns)).max(axis=0)
-        (limit,) = self.parameters
-        return [{"limit": float(a * b)} for b in largest for a in limit.grid]
 
     def add(self, columns: Columns, values: Values) -> Addition:
         """Return what is cut off."""
