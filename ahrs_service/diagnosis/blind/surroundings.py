@@ -62,12 +62,14 @@ def airborne(
     period = rng.uniform(90.0, 130.0)
     payload = 3.5 * ((time_s / period + rng.random()) % 1.0 > 0.5) * (time_s > 20.0)
     current = 0.6 + 22.3 * throttle**1.8 + payload
-    sag = 0.03 * (current - 0.6) + time_s * 2e-4 if sags else 0.0
+    volts = np.full_like(time_s, 11.8)
+    if sags:
+        # Another consumer of the supply, with times of its own, so that it is not current alone.
+        other = (time_s / rng.uniform(25.0, 50.0) + rng.random()) % 1.0 > rng.uniform(0.3, 0.7)
+        volts -= 0.005 * (current - 0.6) + 0.25 * other + 2e-4 * time_s
     vibration = 0.05 + strength * 1.25 * shake
     airspeed = np.interp(time_s, flight.knots_s, flight.airspeed_m_s)
-    return Surroundings(
-        own, slope, air, vibration, current, 11.8 - sag + 0 * time_s, throttle, airspeed
-    )
+    return Surroundings(own, slope, air, vibration, current, volts, throttle, airspeed)
 
 
 def _follow(air: Floats, time_s: Floats, lag_s: float, start: float) -> tuple[Floats, Floats]:
