@@ -11,6 +11,7 @@ from links.errors import RecordingError
 from links.frame_columns import MessageColumns, tlog_bytes
 
 TRUTH_SUFFIX: Final = ".truth.json"
+REPORT_SUFFIX: Final = ".report.json"
 
 _EPOCH_US: Final = 1_750_000_000_000_000
 """Wall clock of every blind recording's boot [us since 1970]: a seed gives the same bytes."""
@@ -52,11 +53,38 @@ def read_truth(path: Path) -> dict[str, Any]:
     return truth
 
 
+def truths_of(folder: Path) -> Path:
+    """Return where the truths of a folder of recordings are: in it, or in its `truths`."""
+    inner = folder / "truths"
+    return inner if inner.is_dir() else folder
+
+
 def recordings(folder: Path) -> list[Path]:
-    """Return the recordings of a folder that have a truth beside them, in order of names."""
+    """Return the recordings of a folder that have a truth, in order of names."""
+    truths = truths_of(folder)
     found = sorted(
-        path for path in folder.glob("*.tlog") if path.with_name(path.stem + TRUTH_SUFFIX).is_file()
+        path for path in folder.glob("*.tlog") if (truths / f"{path.stem}{TRUTH_SUFFIX}").is_file()
     )
     if not found:
         raise RecordingError(f"{folder}: no NAME.tlog with NAME{TRUTH_SUFFIX} beside it")
     return found
+
+
+def write_report(folder: Path, name: str, report: dict[str, Any]) -> None:
+    """Write a report as NAME.report.json."""
+    path = folder / f"{name}{REPORT_SUFFIX}"
+    path.write_text(json.dumps(report, indent=1), encoding="utf-8")
+
+
+def read_report(folder: Path, name: str) -> dict[str, Any] | None:
+    """Read NAME.report.json of ahrs-mismatch/1; None where there is none."""
+    path = folder / f"{name}{REPORT_SUFFIX}"
+    if not path.is_file():
+        return None
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise RecordingError(f"{path}: {error}; a report is JSON") from error
+    if not isinstance(report, dict) or not {"verdict", "effects", "unexplained"} <= report.keys():
+        raise RecordingError(f"{path}: no verdict, effects and unexplained of ahrs-mismatch/1")
+    return report

@@ -6,7 +6,8 @@ Rivals choose among the same effects: stepwise regression by F-test or BIC, the 
 knows each effect's shape and the noise. Shares stand with their Wilson 95 % intervals.
 
   ahrs-service prove --count 100 --jobs 2
-  ahrs-service prove --cases FOLDER      score NAME.tlog with NAME.truth.json beside it
+  ahrs-service prove --cases FOLDER      diagnose NAME.tlog, score by NAME.truth.json beside it
+  ahrs-service prove --cases FOLDER --reports FOLDER     score NAME.report.json as they are
 """
 
 import argparse
@@ -26,15 +27,18 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from ahrs_service.app.blind_files import (
     TRUTH_SUFFIX,
+    read_report,
     read_truth,
     recordings,
     seal,
+    truths_of,
     write_case,
+    write_report,
 )
 from ahrs_service.app.blind_rivals import OURS, Answer, answer
 from ahrs_service.app.blind_tables import misses_table, score_table, where_table
 from ahrs_service.app.config_file import ConfigError
-from ahrs_service.diagnosis.blind.case import Request, make
+from ahrs_service.diagnosis.blind.case import make, request_of
 from ahrs_service.diagnosis.blind.held_out import gain_share
 from ahrs_service.diagnosis.blind.oracle import oracle_report
 from ahrs_service.diagnosis.blind.plan import controls, plan
@@ -76,6 +80,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "in time, or of flipped temperature",
     )
     parser.add_argument("--cases", type=Path, metavar="DIR", help="score recordings that are there")
+    parser.add_argument(
+        "--reports", type=Path, metavar="DIR", help="with --cases: score NAME.report.json of DIR"
+    )
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep recordings, truths, reports")
     parser.add_argument("--jobs", type=_whole, default=1, metavar="N", help="processes (default 1)")
     parser.add_argument("--no-rivals", action="store_true", help="leave the baselines out")
@@ -91,17 +98,19 @@ def _whole(text: str) -> int:
 
 def run(args: argparse.Namespace) -> int:
     """Make or take a set, diagnose, score; 0 if every recording got a report, 1 if not."""
+    if args.reports and not args.cases:
+        raise ConfigError("--reports: give the recordings' folder with --cases as well")
     console = Console()
     with _folder(args) as folder:
-        requests = {} if args.cases else _make(args, folder, console)
-        truths = args.cases or folder / "truths"
+        if not args.cases:
+            _make(args, folder, console)
+        paths, truths = recordings(args.cases or folder), truths_of(args.cases or folder)
         sealed = seal(truths)
         console.print(f"truths sealed: sha256 {sealed}", soft_wrap=True)
-        made = [folder / f"{name}.tlog" for name in requests]
-        answers = _ask(recordings(args.cases) if args.cases else made, args, console)
+        answers = _given(paths, args.reports) if args.reports else _ask(paths, args, console)
         if seal(truths) != sealed:
             raise RecordingError(f"{truths}: a truth changed while the set was diagnosed")
-        proof = _judge(answers, truths, requests, sealed)
+        proof = _judge(answers, truths, sealed)
     console.print(score_table(proof.marks, len(answers)))
     console.print(where_table(proof.marks[OURS]))
     console.print(misses_table(proof.marks[OURS], proof.failures))
@@ -122,7 +131,7 @@ def _folder(args: argparse.Namespace) -> Iterator[Path]:
         yield Path(folder)
 
 
-def _make(args: argparse.Namespace, folder: Path, console: Console) -> dict[str, Request]:
+def _make(args: argparse.Namespace, folder: Path, console: Console) -> None:
     requests = [*plan(args.count, args.seed, args.seconds), *controls(args.controls, args.seed)]
     truths = folder / "truths"
     if truths.exists():
@@ -130,7 +139,6 @@ def _make(args: argparse.Namespace, folder: Path, console: Console) -> dict[str,
     truths.mkdir()
     for request in _track(requests, len(requests), "hiding", console):
         write_case(folder, truths, make(request))
-    return {request.name: request for request in requests}
 
 
 def _ask(paths: list[Path], args: argparse.Namespace, console: Console) -> list[Answer]:
@@ -140,9 +148,17 @@ def _ask(paths: list[Path], args: argparse.Namespace, console: Console) -> list[
         for one in _track(coming, len(paths), "diagnosing", console):
             answers.append(one)
             if args.keep:
-                text = json.dumps(one.reports[OURS], indent=1)
-                (args.keep / f"{one.name}.report.json").write_text(text, encoding="utf-8")
+                write_report(args.keep, one.name, one.reports[OURS])
     return sorted(answers, key=lambda one: one.name)
+
+
+def _given(paths: list[Path], folder: Path) -> list[Answer]:
+    """Return the reports that are there; recordings without one are left out."""
+    reports = {path.stem: read_report(folder, path.stem) for path in paths}
+    answers = [Answer(name, {OURS: report}, 0.0) for name, report in reports.items() if report]
+    if not answers:
+        raise RecordingError(f"{folder}: no NAME.report.json of these recordings")
+    return answers
 
 
 @contextmanager
@@ -166,7 +182,7 @@ def _track(items: Iterable[T], total: int, what: str, console: Console) -> Itera
             bar.advance(task)
 
 
-def _judge(answers: list[Answer], truths: Path, requests: dict[str, Request], sealed: str) -> Proof:
+def _judge(answers: list[Answer], truths: Path, sealed: str) -> Proof:
     marks: dict[str, list[Mark]] = {}
     for number, one in enumerate(answers):
         truth = read_truth(truths / f"{one.name}{TRUTH_SUFFIX}")
@@ -176,8 +192,9 @@ def _judge(answers: list[Answer], truths: Path, requests: dict[str, Request], se
             reports[ORACLE] = oracle
         for title, report in reports.items():
             mark = judge(one.name, truth, report)
-            if title == OURS and one.name in requests and mark.first is not None:
-                mark = mark.with_gain(gain_share(make(requests[one.name]), report))
+            request = request_of(truth)
+            if title == OURS and request is not None and mark.first is not None:
+                mark = mark.with_gain(gain_share(make(request), report))
             marks.setdefault(title, []).append(mark)
     failures = {one.name: one.failure for one in answers if one.failure}
     return Proof(sealed, marks, {one.name: one.seconds for one in answers}, failures)

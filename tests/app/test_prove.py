@@ -38,6 +38,12 @@ def test_a_set_is_sealed_diagnosed_and_scored(tmp_path, capsys):
     assert {"diagnose", "F-test", "BIC", "lasso", "oracle"} == set(document["score"])
     assert len(document["marks"]["diagnose"]) == 3
     assert len(list(keep.glob("*.tlog"))) == len(list(keep.glob("*.report.json"))) == 3
+    again = tmp_path / "again.json"
+    kept = ["--cases", str(keep), "--reports", str(keep), "--json", str(again)]
+    assert main(["prove", *kept]) == 0
+    rescored = json.loads(again.read_text())
+    assert rescored["seal_sha256"] == document["seal_sha256"]
+    assert rescored["marks"]["diagnose"] == document["marks"]["diagnose"]
     assert main(["prove", *arguments]) == 2
     assert "holds a set already" in capsys.readouterr().err
 
@@ -62,7 +68,13 @@ def test_a_truth_changed_under_way_is_noticed(cases, monkeypatch, capsys):
     assert "a truth changed" in " ".join(capsys.readouterr().err.split())
 
 
-def test_what_cannot_be_scored_is_refused(tmp_path, capsys):
+def test_what_cannot_be_scored_is_refused(cases, tmp_path, capsys):
+    assert main(["prove", "--reports", str(cases)]) == 2
+    assert main(["prove", "--cases", str(cases), "--reports", str(cases)]) == 1
+    assert "no NAME.report.json" in capsys.readouterr().err
+    (cases / "bias.report.json").write_text("[]")
+    assert main(["prove", "--cases", str(cases), "--reports", str(cases)]) == 1
+    assert "no verdict" in capsys.readouterr().err
     assert main(["prove", "--cases", str(tmp_path)]) == 1
     assert "no NAME.tlog" in capsys.readouterr().err
     (tmp_path / "a.tlog").write_bytes(b"")

@@ -1,6 +1,6 @@
 """One sealed case: what is asked for, what was made, and its truth as the cases' files have it."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -114,7 +114,14 @@ def _truth(request: Request, parts: list[Part]) -> dict[str, Any]:
         "imu_rate_hz": RATES_HZ[request.kind],
         "effects": [part.entry for part in parts] or _nothing(request),
     }
-    return truth | ({"inseparable": True} if request.alike else {})
+    return truth | ({"inseparable": True} if request.alike else {}) | {"request": asdict(request)}
+
+
+def request_of(truth: dict[str, Any]) -> Request | None:
+    """Return the request that made a truth; None of one that was not made here."""
+    if "request" not in truth:
+        return None
+    return Request(**truth["request"] | {"effects": tuple(truth["request"]["effects"])})
 
 
 def _nothing(request: Request) -> list[dict[str, Any]]:
