@@ -10,7 +10,8 @@ from ahrs_service.diagnosis.explain import explanation
 from ahrs_service.diagnosis.flight import FlightResidual, is_flight
 from ahrs_service.diagnosis.holdout import free_run, held_out
 from ahrs_service.diagnosis.library import Library, Term, library_of
-from ahrs_service.diagnosis.model import Model, Number, added_body, free_numbers
+from ahrs_service.diagnosis.locate import against_covariates, where_it_acts
+from ahrs_service.diagnosis.model import Model, Number, added_body, added_rows, free_numbers
 from ahrs_service.diagnosis.recorded import Recorded
 from ahrs_service.diagnosis.reference import reference_of
 from ahrs_service.diagnosis.residual import CHANNELS, Residual
@@ -25,6 +26,7 @@ from ahrs_service.diagnosis.result import (
     Where,
 )
 from ahrs_service.diagnosis.search import Progress, Search, Step, search
+from ahrs_service.diagnosis.whiteness import whiteness
 from ahrs_service.records import Floats
 
 _AXIS_SIGMA: Final = 3.0
@@ -34,9 +36,15 @@ _FALLBACK: Final = "whole recording"
 def compare(recorded: Recorded, twin: tuple[Term, ...] = ()) -> Residual:
     """Return the misfit of a recording and its reference; ValueError says what is missing."""
     reference = reference_of(recorded)
+    residual: Residual
     if is_flight(reference):
-        return FlightResidual(recorded, reference)
-    return BenchResidual(recorded, reference)
+        residual = FlightResidual(recorded, reference)
+    else:
+        residual = BenchResidual(recorded, reference)
+    body = residual.body - added_body(residual, twin)
+    residual.rows = residual.rows - added_rows(residual, twin)
+    residual.body = body
+    return residual
 
 
 def diagnose(
@@ -58,7 +66,8 @@ def diagnose(
         for name, value in found.unknown.items()
     )
     verdict = "unexplained" if left else "explained" if findings else "no_mismatch"
-    whole = held_out(residual, found.bare, model, "gyro") if model.terms else None
+    triad = findings[0].effect.split("_")[0] if findings else "gyro"
+    whole = held_out(residual, found.bare, model, triad) if model.terms else None
     noise = dict(zip(residual.noise_names, np.exp(model.noise).tolist(), strict=True))
     return Diagnosis(
         verdict=verdict,  # type: ignore[arg-type]
@@ -68,6 +77,8 @@ def diagnose(
         holdout=whole,
         free_run=free_run(residual, found.bare, model),
         noise=noise,
+        whiteness=whiteness(residual, model),
+        covariates=against_covariates(residual, found.bare, model),
         series=_series(residual, model),
     )
 
@@ -89,7 +100,9 @@ def _finding(residual: Residual, found: Search, step: Step, place: int) -> Findi
     alike = found.alike[place]
     held = held_out(residual, step.model, found.model, term.effect.triad)
     size = _sizes(residual, term)
-    where = (Where(float(residual.time_s[0]), float(residual.time_s[-1]), _FALLBACK),)
+    where = where_it_acts(residual, added_body(residual, (term,))) or (
+        Where(float(residual.time_s[0]), float(residual.time_s[-1]), _FALLBACK),
+    )
     return Finding(
         effect=term.effect.id,
         alike=alike,

@@ -52,6 +52,8 @@ class FlightResidual:
         "accel_density_m_s2_hz",
         "accel_wander_m_s2",
         "accel_wander_s",
+        "angle_white_per_vibration_s2_m",
+        "velocity_white_per_vibration_s",
     )
 
     def __init__(self, recorded: Recorded, reference: Reference) -> None:
@@ -85,6 +87,8 @@ class FlightResidual:
         self.largest = np.abs(np.hstack([rate, force])).max(axis=0)
         bias = self._mean_bias(increments, away)
         self.columns = covariates(recorded, grid_s, rate - bias[:3], force - bias[3:], q)
+        shaking = self.columns.vibration_m_s2
+        self._vibration = self._windows(np.where(np.isfinite(shaking), shaking, 0.0))
         self.witnessed = witnessed(reference, self.columns)
         self.body = self._in_body(increments)
 
@@ -155,7 +159,9 @@ class FlightResidual:
 
     def first_noise(self) -> Noise:
         """Return the sizes of a good INS and of a consumer IMU."""
-        return np.log([7e-4, 6.0, 5e-5, 7e-5, 1e-4, 100.0, 0.03, 4.0, 0.003, 1e-3, 2e-3, 100.0])
+        attitude, gyro = [7e-4, 6.0, 5e-5], [7e-5, 1e-4, 100.0]
+        velocity, accel = [0.03, 4.0, 0.003], [1e-3, 2e-3, 100.0]
+        return np.log([*attitude, *gyro, *velocity, *accel, 5e-6, 3e-4])
 
     def noise_bounds(self) -> list[tuple[float, float]]:
         """Return bounds a factor of 30 about the first sizes, 10 for times."""
@@ -195,7 +201,7 @@ class FlightResidual:
 
     def whiten(self, noise: Noise, rows: Floats) -> tuple[Floats, Floats]:
         """Return `rows` [N, 6, K] whitened, and the log variances [N, 6] of the innovations."""
-        e, e_s, e_white, g, b, b_s, v, v_s, v_white, a, c, c_s = np.exp(noise)
+        e, e_s, e_white, g, b, b_s, v, v_s, v_white, a, c, c_s, turned, shaken = np.exp(noise)
         step = self._step_s
         keep = np.exp(-step / np.array([e_s, b_s, v_s, c_s]))
         held = np.array([e, b, v, c]) ** 2 * (1.0 - keep * keep)
@@ -204,7 +210,9 @@ class FlightResidual:
         # The mean over a window of what wanders at random: its increments are correlated by +1/4,
         # which is a white noise of negative variance (Working 1960).
         mean_of_walk = (1.0 - 1.0 / self._window**2) / 6.0
-        white = np.array([e_white**2, v_white**2])
+        white = np.empty((len(rows), 2))
+        white[:, 0] = e_white**2 + (turned * self._vibration) ** 2
+        white[:, 1] = v_white**2 + (shaken * self._vibration) ** 2
         white -= mean_of_walk * np.array([drive[0] + drive[1], drive[3] + drive[4]])
         out, log_variance = np.empty(rows.shape), np.empty(rows.shape[:2])
         whiten_flight(

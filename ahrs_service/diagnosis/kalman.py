@@ -123,7 +123,7 @@ def whiten_flight(
 
     `turn` [N, 3, 3] R and `tilt` [N, 3, 3] the integral of -[f x], both of the step that ends at
     the row. `keep` [4] of e, b, v, c; `drive`, `start` [6] variances added per step and at first,
-    of the six state vectors; `white` [2] of the two measurements. Rows with `begins` not 0 start
+    of the six state vectors; `white` [N, 2] of the two measurements. Rows with `begins` not 0 start
     from unknown angle and velocity, rows with `missing` not 0 give no innovation. `log_variance`
     [N, 6] of the innovations, 0 where there is none.
     """
@@ -155,7 +155,7 @@ def whiten_flight(
                         gain[i] -= p[i, j] * frame[n, m, j]
                 else:
                     gain[i] -= p[i, error]
-            total = gain[whole] + white[m // 3]
+            total = gain[whole] + white[n, m // 3]
             if m < 3:
                 for j in range(3):
                     total -= frame[n, m, j] * gain[j]

@@ -1,11 +1,12 @@
 """The responses that the search chooses from: catalogue effects, and smooth unknown ones."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 from scipy.interpolate import BSpline
+from scipy.ndimage import gaussian_filter1d
 
 from ahrs_service.diagnosis.residual import Residual
 from ahrs_service.effects.base import Addition, Columns, Effect, Parameter
@@ -13,8 +14,10 @@ from ahrs_service.effects.catalogue import EFFECTS
 from ahrs_service.records import Floats
 
 _KNOTS: Final = 5
+_REGIME_S: Final = 0.3
 _LEAST_SPREAD: Final = 1e-6
 _LIMITS: Final = (0.97, 1.0, 1.03)
+_NEAR_LIMIT: Final = 0.85
 
 
 Entry = tuple[Parameter, tuple[int, ...]]
@@ -83,14 +86,27 @@ def unit_response(
 
 
 def sources(residual: Residual, effect: Effect) -> Columns:
-    """Return the motion that an effect acts on: where it cuts the reading, the reference's."""
-    return residual.witnessed if effect.name == "saturation" else residual.columns
+    """Return the motion that an effect acts on.
+
+    Where a limit may have cut the reading, close to the largest there is, only the reference knows
+    the motion; elsewhere its noise would be taken for what was cut off.
+    """
+    if effect.name != "saturation" or residual.witnessed is residual.columns:
+        return residual.columns
+    read, seen = residual.columns, residual.witnessed
+    near_rate = np.abs(read.rate_rad_s) > _NEAR_LIMIT * residual.largest[:3]
+    near_force = np.abs(read.force_m_s2) > _NEAR_LIMIT * residual.largest[3:]
+    return replace(
+        read,
+        rate_rad_s=np.where(near_rate, seen.rate_rad_s, read.rate_rad_s),
+        force_m_s2=np.where(near_force, seen.force_m_s2, read.force_m_s2),
+    )
 
 
 def least_limit(residual: Residual, effect: Effect) -> float:
-    """Return the largest reading of an effect's triad: no smaller limit can have cut it."""
+    """Return the smallest limit that can have cut an effect's triad: what it read, and noise."""
     part = slice(0, 3) if effect.triad == "gyro" else slice(3, 6)
-    return float(residual.largest[part].max())
+    return _LIMITS[0] * float(residual.largest[part].max())
 
 
 def forms_of(residual: Residual, effect: Effect) -> list[dict[str, float]]:
@@ -98,7 +114,7 @@ def forms_of(residual: Residual, effect: Effect) -> list[dict[str, float]]:
     if effect.name != "saturation":
         return effect.grid(residual.columns)
     part = slice(0, 3) if effect.triad == "gyro" else slice(3, 6)
-    return [{"limit": float(r * s)} for r in residual.largest[part] for s in _LIMITS]
+    return [{"limit": float(residual.largest[part].max() * share)} for share in _LIMITS]
 
 
 def missing_covariate(effect: Effect, columns: Columns) -> str | None:
@@ -165,8 +181,13 @@ def _on_axis(triad: str, axis: int, values: Floats) -> Addition:
 
 def regimes(columns: Columns) -> dict[str, Floats]:
     """Return the covariates [N] that a misfit is held against, those that are known."""
-    speed = np.linalg.norm(columns.rate_rad_s, axis=1)
-    force = np.linalg.norm(columns.force_m_s2, axis=1)
+    step_s = (columns.time_s[-1] - columns.time_s[0]) / (len(columns.time_s) - 1)
+    # The size of a noisy reading goes with the noise itself, so it is taken of a slow one.
+    rate, force_m_s2 = (
+        gaussian_filter1d(values, _REGIME_S / step_s, axis=0, mode="nearest")
+        for values in (columns.rate_rad_s, columns.force_m_s2)
+    )
+    speed, force = np.linalg.norm(rate, axis=1), np.linalg.norm(force_m_s2, axis=1)
     down = 2.0 * columns.ned_from_body**2
     w, x, y, z = columns.ned_from_body.T
     known = {

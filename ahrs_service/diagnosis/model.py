@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.diagnosis.library import Term, linear_entries, sources, unit_response
+from ahrs_service.diagnosis.library import Term, least_limit, linear_entries, sources, unit_response
 from ahrs_service.diagnosis.likelihood import fit, fit_noise
 from ahrs_service.diagnosis.residual import Noise, Residual, bias_rows
 from ahrs_service.effects.base import Addition, Columns, Effect, Parameter
@@ -143,6 +143,18 @@ def _moved(terms: tuple[Term, ...], numbers: list[Number], by: Floats) -> tuple[
     return tuple(Term(term.effect, new) for term, new in zip(terms, values, strict=True))
 
 
+def _possible(residual: Residual, terms: tuple[Term, ...]) -> tuple[Term, ...]:
+    """Return the terms with no limit below what the IMU has read."""
+    possible = []
+    for term in terms:
+        values = dict(term.values)
+        if term.effect.name == "saturation":
+            least = least_limit(residual, term.effect)
+            values["limit"] = np.maximum(values["limit"], least)
+        possible.append(Term(term.effect, values))
+    return tuple(possible)
+
+
 def _base(residual: Residual, terms: tuple[Term, ...], unknown_rows: Floats) -> Floats:
     columns = [derivative(residual, terms, number) for number in free_numbers(terms)]
     own = np.stack(columns, axis=2) if columns else np.empty((*residual.rows.shape, 0))
@@ -185,7 +197,7 @@ def settle(
                 break
         else:
             shares *= 0.4
-        terms = _moved(start, numbers, shares * change)
+        terms = _possible(residual, _moved(start, numbers, shares * change))
     assert best is not None
     return best
 

@@ -16,8 +16,11 @@ from ahrs_service.records import Floats
 
 GRAVITY_NED: Final = np.array([0.0, 0.0, STANDARD_GRAVITY_M_S2])
 
-MOTION_HZ: Final = 10.0
-"""Vehicles of these sizes turn slower than this, motors shake faster (PX4: rate loop 5-10 Hz)."""
+MOTION_HZ: Final = 7.0
+"""Vehicles of these sizes turn slower than this, motors shake faster."""
+
+WITNESSED_HZ: Final = 3.0
+"""The same of a reference whose slope is noisy: the hard manoeuvres are slower than this."""
 
 _SLOPE_S: Final = 2.0
 """Width over which the temperature's slope is taken: 0.01 degC steps at 10 Hz need a second."""
@@ -69,11 +72,13 @@ def covariates(
     )
 
 
-def slow_motion(time_s: Floats, values: Floats, at_s: Floats) -> Floats:
-    """Return `values` [N, 3] without what is faster than MOTION_HZ, without delay, at `at_s`."""
+def slow_motion(
+    time_s: Floats, values: Floats, at_s: Floats, cutoff_hz: float = MOTION_HZ
+) -> Floats:
+    """Return `values` [N, M] without what is faster than the cutoff, without delay, at `at_s`."""
     rate_hz = (len(time_s) - 1) / (time_s[-1] - time_s[0])
-    if rate_hz > 2.5 * MOTION_HZ:
-        sections = butter(4, MOTION_HZ, fs=rate_hz, output="sos")
+    if rate_hz > 2.5 * cutoff_hz:
+        sections = butter(6, cutoff_hz, fs=rate_hz, output="sos")
         values = sosfiltfilt(sections, values, axis=0)
     return np.asarray(CubicSpline(time_s, values)(at_s))
 
@@ -86,7 +91,9 @@ def witnessed(reference: Reference, like: Columns) -> Columns:
     rate = 2.0 * _vector_part(q, q_dot)
     acceleration = CubicSpline(time_s, reference.velocity_ned_m_s)(time_s, 1)
     force = body_vectors(reference.ned_from_body, acceleration - GRAVITY_NED)
-    rate, force = (slow_motion(time_s, values, like.time_s) for values in (rate, force))
+    rate, force = (
+        slow_motion(time_s, values, like.time_s, WITNESSED_HZ) for values in (rate, force)
+    )
     return replace(
         like,
         rate_rad_s=rate,

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.diagnosis.library import Candidate, Library, Term, least_limit
+from ahrs_service.diagnosis.library import Candidate, Library, Term
 from ahrs_service.diagnosis.model import Model, bare, choose, free_numbers, refit, settle
 from ahrs_service.diagnosis.residual import Residual
 from ahrs_service.diagnosis.screen import Gains, screen, surprise
@@ -34,7 +34,6 @@ _APART: Final = 0.15
 _ALIKE_SHARE: Final = 0.7
 _FAR_MORE: Final = 1.15
 _SHARE_OF_UNKNOWN: Final = 0.3
-_LEAST_OF_LARGEST: Final = 0.96
 
 Progress = Callable[[float], None]
 
@@ -97,15 +96,11 @@ def extend(
     longer = settle(residual, terms, model.noise, unknown, rows)
     if has_noise:
         longer = refit(residual, longer)
-    return _step(residual, model, candidate, longer)
+    return _step(model, candidate, longer)
 
 
-def _step(residual: Residual, before: Model, candidate: Candidate, after: Model) -> Step:
+def _step(before: Model, candidate: Candidate, after: Model) -> Step:
     gain = after.log_likelihood - before.log_likelihood
-    if candidate.effect is not None and candidate.effect.name == "saturation":
-        limit = float(after.terms[-1].values["limit"])
-        if limit < _LEAST_OF_LARGEST * least_limit(residual, candidate.effect):
-            gain = 0.0
     return Step(candidate, after, gain, surprise(gain, candidate.freedom))
 
 
@@ -129,9 +124,9 @@ def best_step(residual: Residual, library: Library, model: Model, least: float) 
         top = max(step.surprise for step in steps)
         close = sorted(steps, key=lambda step: -step.surprise)[:3]
         fitted = [
-            _step(residual, model, step.candidate, refit(residual, step.model))
+            _step(model, step.candidate, refit(residual, step.model))
             for step in close
-            if step.surprise > _CLOSE * top
+            if step.surprise >= _CLOSE * top
         ]
         best = max(fitted, key=lambda step: step.surprise)
     unknown = _best_unknown(residual, library, model, forms, best)

@@ -54,11 +54,11 @@ class ThermalHysteresis(Effect):
                 "width_degC",
                 "degC",
                 (),
-                60.0,
+                12.0,
                 "ADIS16460 data sheet",
-                grid=(0.5, 1.0, 2.0, 4.0, 8.0, 16.0),
+                grid=(0.5, 1.0, 2.0, 4.0, 8.0),
                 default=4.0,
-                bounds=(0.1, 60.0),
+                bounds=(0.1, 12.0),
             ),
         )
 
