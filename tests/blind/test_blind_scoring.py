@@ -112,6 +112,13 @@ def test_outside_the_catalogue_every_name_is_wrong_and_the_covariate_counts():
     assert (named.extra, named.covariate) == (True, False)
 
 
+def test_on_a_table_acceleration_is_attitude():
+    t = truth(hidden("unknown", {"depends_on": "acceleration"}))
+    given = report(unexplained=[{"depends_on": ["roll"]}], verdict="unexplained")
+    assert judge("a", t, given).covariate
+    assert not judge("a", t | {"kind": "copter"}, given).covariate
+
+
 def test_an_inseparable_effect_wants_a_class():
     t = truth(hidden("gyro_warm_up"), inseparable=True)
     assert judge("a", t, report(finding("gyro_warm_up", "gyro_thermal_bias"))).classed

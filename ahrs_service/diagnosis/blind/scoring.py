@@ -118,7 +118,7 @@ def judge(name: str, truth: Json, report: Json) -> Mark:
         return replace(
             mark,
             extra=bool(findings),
-            covariate=_gives_covariate(hidden[0]["params"]["depends_on"], report["unexplained"]),
+            covariate=_gives_covariate(truth, report["unexplained"]),
         )
     allowed = {entry["effect"] for entry in real}
     granted = {other for entry in real for other in entry.get("implies", ())}
@@ -171,10 +171,13 @@ def _gain(finding: Json) -> float:
     return float((finding.get("holdout") or {}).get("log_likelihood_gain", 0.0))
 
 
-def _gives_covariate(depends_on: str, unexplained: list[Json]) -> bool:
+def _gives_covariate(truth: Json, unexplained: list[Json]) -> bool:
+    """Whether a word of the covariate was given; on a table the force is gravity: attitude."""
+    depends_on = truth["effects"][0]["params"]["depends_on"]
     words = LIKE_WORDS.get(depends_on, {depends_on})
-    given = {str(word) for item in unexplained for word in item["depends_on"]}
-    return bool(words & given)
+    if depends_on == "acceleration" and truth["kind"] == "bench":
+        words = words | LIKE_WORDS["attitude"]
+    return bool(words & {str(word) for item in unexplained for word in item["depends_on"]})
 
 
 def _coverage(hidden: list[Json], findings: list[Json]) -> tuple[int, int]:
