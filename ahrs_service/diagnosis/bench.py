@@ -12,7 +12,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ahrs_service.diagnosis.kalman import whiten_channel
-from ahrs_service.diagnosis.motion import GRAVITY_NED, covariates, slow_motion
+from ahrs_service.diagnosis.motion import GRAVITY_NED, covariates, ends, scatter, slow_motion
 from ahrs_service.diagnosis.recorded import Recorded
 from ahrs_service.diagnosis.reference import Reference, body_vectors, excursions, jumps, turns
 from ahrs_service.diagnosis.residual import Grams, Noise
@@ -20,7 +20,7 @@ from ahrs_service.effects.base import Addition
 from ahrs_service.records import Floats
 
 _STEP_S: Final = 0.08
-_MOST_ROWS: Final = 20000
+_MOST_ROWS: Final = 12000
 _MOST_KNOWN: Final = 100
 
 
@@ -55,7 +55,10 @@ class BenchResidual:
         self._step_s = self._window * step_s
         self.time_s = self._windows(time_s)
         readings = np.hstack([recorded.gyro_rad_s[inside], recorded.accel_m_s2[inside]])
-        self.largest = np.abs(slow_motion(time_s, readings, time_s)).max(axis=0)
+        slow = slow_motion(time_s, readings, time_s)
+        self.largest = np.abs(slow).max(axis=0)
+        self.ends, self.ties = ends(readings)
+        self.scatter = scatter(time_s, readings, slow, time_s)
         self.rows = self._windows(readings - np.hstack([rate, force]))
         self.body = self.rows
         self.missing = self._without_reference(reference, time_s)

@@ -25,6 +25,7 @@ from ahrs_service.diagnosis.result import (
     Unexplained,
     Where,
 )
+from ahrs_service.diagnosis.screen import unseen
 from ahrs_service.diagnosis.search import Progress, Search, Step, search
 from ahrs_service.diagnosis.whiteness import whiteness
 from ahrs_service.records import Floats
@@ -73,7 +74,7 @@ def diagnose(
         verdict=verdict,  # type: ignore[arg-type]
         findings=findings,
         unexplained=left,
-        not_observable=_not_observable(library),
+        not_observable=_not_observable(residual, library, model),
         holdout=whole,
         free_run=free_run(residual, found.bare, model),
         noise=noise,
@@ -148,5 +149,10 @@ def _axis(term: Term, number: Number, std: float) -> set[int]:
     return {number.index[0]} if stands_out else set()
 
 
-def _not_observable(library: Library) -> tuple[NotObservable, ...]:
-    return tuple(NotObservable(name, why) for name, why in library.refused.items())
+def _not_observable(
+    residual: Residual, library: Library, model: Model
+) -> tuple[NotObservable, ...]:
+    hidden = unseen(residual, model.noise, library, model.base, model.misfit)
+    named = {term.effect.id for term in model.terms}
+    reasons = library.refused | {name: why for name, why in hidden.items() if name not in named}
+    return tuple(NotObservable(name, why) for name, why in reasons.items())

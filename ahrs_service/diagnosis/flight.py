@@ -13,7 +13,14 @@ import numpy as np
 import numpy.typing as npt
 
 from ahrs_service.diagnosis.kalman import whiten_flight
-from ahrs_service.diagnosis.motion import GRAVITY_NED, covariates, slow_motion, witnessed
+from ahrs_service.diagnosis.motion import (
+    GRAVITY_NED,
+    covariates,
+    ends,
+    scatter,
+    slow_motion,
+    witnessed,
+)
 from ahrs_service.diagnosis.preintegration import preintegrate
 from ahrs_service.diagnosis.recorded import Recorded
 from ahrs_service.diagnosis.reference import (
@@ -28,7 +35,7 @@ from ahrs_service.records import Floats
 from ahrs_service.rotation import inverse_columns, multiply_columns, rotate_columns
 
 _STEP_S: Final = 0.1
-_MOST_ROWS: Final = 12000
+_MOST_ROWS: Final = 8000
 _UNKNOWN_ANGLE: Final = 1.0
 _UNKNOWN_SPEED: Final = 100.0
 _SIZES: Final = 50.0
@@ -80,11 +87,12 @@ class FlightResidual:
         self._begins[1:] = np.maximum(self._begins[1:], self.missing[:-1])
         self._turn, self._tilt, self._path = self._paths(gathered)
         self._is_error_in_body = True
-        rate, force = (
-            slow_motion(recorded.imu_time_s, values, grid_s)
-            for values in (recorded.gyro_rad_s, recorded.accel_m_s2)
-        )
-        self.largest = np.abs(np.hstack([rate, force])).max(axis=0)
+        imu_s, readings = recorded.imu_time_s, np.hstack([recorded.gyro_rad_s, recorded.accel_m_s2])
+        slow = slow_motion(imu_s, readings, grid_s)
+        self.largest = np.abs(slow).max(axis=0)
+        self.ends, self.ties = ends(readings)
+        self.scatter = scatter(imu_s, readings, slow_motion(imu_s, readings, imu_s), grid_s)
+        rate, force = slow[:, :3], slow[:, 3:]
         bias = self._mean_bias(increments, away)
         self.columns = covariates(recorded, grid_s, rate - bias[:3], force - bias[3:], q)
         shaking = self.columns.vibration_m_s2

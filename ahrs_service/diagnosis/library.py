@@ -18,6 +18,7 @@ _REGIME_S: Final = 0.3
 _LEAST_SPREAD: Final = 1e-6
 _LIMITS: Final = (0.97, 1.0, 1.03)
 _NEAR_LIMIT: Final = 0.85
+_LEAST_TIES: Final = 5
 
 
 Entry = tuple[Parameter, tuple[int, ...]]
@@ -91,8 +92,10 @@ def sources(residual: Residual, effect: Effect) -> Columns:
     Where a limit may have cut the reading, close to the largest there is, only the reference knows
     the motion; elsewhere its noise would be taken for what was cut off.
     """
-    if effect.name != "saturation" or residual.witnessed is residual.columns:
+    if effect.name != "saturation":
         return residual.columns
+    if residual.witnessed is residual.columns:
+        return replace(residual.columns, scatter=residual.scatter)
     read, seen = residual.columns, residual.witnessed
     near_rate = np.abs(read.rate_rad_s) > _NEAR_LIMIT * residual.largest[:3]
     near_force = np.abs(read.force_m_s2) > _NEAR_LIMIT * residual.largest[3:]
@@ -100,21 +103,33 @@ def sources(residual: Residual, effect: Effect) -> Columns:
         read,
         rate_rad_s=np.where(near_rate, seen.rate_rad_s, read.rate_rad_s),
         force_m_s2=np.where(near_force, seen.force_m_s2, read.force_m_s2),
+        scatter=residual.scatter,
     )
 
 
-def least_limit(residual: Residual, effect: Effect) -> float:
-    """Return the smallest limit that can have cut an effect's triad: what it read, and noise."""
+def limits(residual: Residual, effect: Effect) -> tuple[float, float]:
+    """Return the smallest and the largest limit that can have cut an effect's triad.
+
+    Readings that end many times at the same value tell it; else it is no less than what was read
+    of the motion, give or take noise.
+    """
     part = slice(0, 3) if effect.triad == "gyro" else slice(3, 6)
-    return _LIMITS[0] * float(residual.largest[part].max())
+    axis = int(np.argmax(residual.ends[part]))
+    if residual.ties[part][axis] >= _LEAST_TIES:
+        return float(residual.ends[part][axis]), float(residual.ends[part][axis])
+    return _LIMITS[0] * float(residual.largest[part].max()), np.inf
 
 
 def forms_of(residual: Residual, effect: Effect) -> list[dict[str, float]]:
-    """Return the forms of an effect to search over; a limit lies just above what was read."""
+    """Return the forms of an effect to search over; a limit lies where the readings end."""
     if effect.name != "saturation":
         return effect.grid(residual.columns)
     part = slice(0, 3) if effect.triad == "gyro" else slice(3, 6)
-    return [{"limit": float(residual.largest[part].max() * share)} for share in _LIMITS]
+    low, high = limits(residual, effect)
+    if high == low:
+        return [{"limit": low}]
+    tried = [residual.largest[part].max() * share for share in _LIMITS]
+    return [{"limit": float(limit)} for limit in (*tried, residual.ends[part].max())]
 
 
 def missing_covariate(effect: Effect, columns: Columns) -> str | None:

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.diagnosis.library import Term, least_limit, linear_entries, sources, unit_response
+from ahrs_service.diagnosis.library import Term, limits, linear_entries, sources, unit_response
 from ahrs_service.diagnosis.likelihood import fit, fit_noise
 from ahrs_service.diagnosis.residual import Noise, Residual, bias_rows
 from ahrs_service.effects.base import Addition, Columns, Effect, Parameter
@@ -144,13 +144,13 @@ def _moved(terms: tuple[Term, ...], numbers: list[Number], by: Floats) -> tuple[
 
 
 def _possible(residual: Residual, terms: tuple[Term, ...]) -> tuple[Term, ...]:
-    """Return the terms with no limit below what the IMU has read."""
+    """Return the terms with limits that agree with what the IMU has read."""
     possible = []
     for term in terms:
         values = dict(term.values)
         if term.effect.name == "saturation":
-            least = least_limit(residual, term.effect)
-            values["limit"] = np.maximum(values["limit"], least)
+            bounds = limits(residual, term.effect)
+            values["limit"] = np.array(np.clip(float(values["limit"]), *bounds))
         possible.append(Term(term.effect, values))
     return tuple(possible)
 
@@ -226,3 +226,14 @@ def bare(residual: Residual) -> Model:
 def choose(residual: Residual, noise: Noise, base: Floats, rows: Floats) -> None:
     """Settle between the forms of the noise that a residual knows."""
     residual.choose(lambda: fit(residual, noise, base, rows).log_likelihood)
+
+
+def gain_between(residual: Residual, shorter: Model, longer: Model) -> float:
+    """Return the gain in log-likelihood [nats] of a model over one that it contains.
+
+    Each noise was fitted by restricted likelihood, which is not where the likelihood itself is
+    highest: both models are given the better of both noises.
+    """
+    short = fit(residual, longer.noise, shorter.base, shorter.misfit).log_likelihood
+    long = fit(residual, shorter.noise, longer.base, longer.misfit).log_likelihood
+    return max(longer.log_likelihood, long) - max(shorter.log_likelihood, short)

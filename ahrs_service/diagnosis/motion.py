@@ -51,6 +51,9 @@ def _vibration(series: Series) -> Series:
     return _smoothed(Series(series.time_s, series.values.mean(axis=1)), _SMOOTH_S)
 
 
+_SCATTER_S: Final = 0.5
+
+
 def covariates(
     recorded: Recorded, time_s: Floats, rate: Floats, force: Floats, attitude: Floats
 ) -> Columns:
@@ -81,6 +84,21 @@ def slow_motion(
         sections = butter(6, cutoff_hz, fs=rate_hz, output="sos")
         values = sosfiltfilt(sections, values, axis=0)
     return np.asarray(CubicSpline(time_s, values)(at_s))
+
+
+def ends(readings: Floats) -> tuple[Floats, Floats]:
+    """Return the largest of |readings| [M], and how many lie within 1e-5 of it."""
+    sizes = np.abs(readings)
+    largest = sizes.max(axis=0)
+    return largest, np.sum(sizes >= largest * (1.0 - 1e-5), axis=0).astype(np.float64)
+
+
+def scatter(time_s: Floats, readings: Floats, slow: Floats, at_s: Floats) -> Floats:
+    """Return the 1-sigma [N, M] of `readings` about their slow part, over a second, at `at_s`."""
+    step_s = (time_s[-1] - time_s[0]) / (len(time_s) - 1)
+    square = gaussian_filter1d((readings - slow) ** 2, _SCATTER_S / step_s, axis=0, mode="nearest")
+    sigma = np.sqrt(np.maximum(square, 0.0))
+    return np.column_stack([np.interp(at_s, time_s, column) for column in sigma.T])
 
 
 def witnessed(reference: Reference, like: Columns) -> Columns:

@@ -33,6 +33,9 @@ class Residual(Protocol):
     witnessed: Columns
     missing: Floats
     largest: Floats
+    ends: Floats
+    ties: Floats
+    scatter: Floats
     noise_names: Sequence[str]
 
     def project(self, addition: Addition) -> Floats:

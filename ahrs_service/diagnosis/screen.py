@@ -7,11 +7,12 @@ import numpy as np
 from scipy.special import gammaln
 from scipy.stats import chi2
 
-from ahrs_service.diagnosis.library import Candidate, Library
+from ahrs_service.diagnosis.library import Candidate, Library, linear_entries
 from ahrs_service.diagnosis.likelihood import solve
 from ahrs_service.diagnosis.residual import Noise, Residual
 from ahrs_service.records import Floats
 
+_LEAST_SIGMA: Final = 3.0
 _OWN_SHARE: Final = 1e-8
 """Of a response's whitened energy that the nuisances must leave: less is rounding."""
 
@@ -75,3 +76,29 @@ def screen(residual: Residual, noise: Noise, library: Library, base: Floats, row
         for gain, candidate in zip(gains, library.candidates, strict=True)
     ]
     return Gains(gains, np.array(surprises))
+
+
+def unseen(
+    residual: Residual, noise: Noise, library: Library, base: Floats, rows: Floats
+) -> dict[str, str]:
+    """Return why effects would stay below the noise here even at the largest plausible size.
+
+    By each number's sigma, were it alone beside the nuisances; an effect is not observable where
+    for all of its numbers three sigmas exceed what data sheets give.
+    """
+    gram, _, _ = grams(residual, noise, library, base, rows)
+    energy = np.maximum(np.diag(gram), 1e-300)
+    best: dict[str, float] = {}
+    for candidate in library.candidates:
+        if candidate.effect is None:
+            continue
+        sizes = [1.0]
+        if not candidate.is_whole:
+            sizes = [p.plausible for p, _ in linear_entries(candidate.effect)]
+        ratio = float(np.max(np.array(sizes) * np.sqrt(energy[candidate.columns])))
+        best[candidate.name] = max(ratio, best.get(candidate.name, 0.0))
+    return {
+        name: f"the largest plausible size would be {ratio:.1f} sigma of the noise"
+        for name, ratio in best.items()
+        if ratio < _LEAST_SIGMA
+    }

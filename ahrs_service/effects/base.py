@@ -33,7 +33,8 @@ class Columns:
     `force_m_s2` [N, 3] at the reference point in body axes, `angular_acceleration_rad_s2` [N, 3];
     `temperature_degc` [N] the IMU's own as it reports it, `temperature_slope_degc_s` [N] its slope;
     `vibration_m_s2` [N] 1-sigma of the vibration, mean of the three axes; `current_a` [N] of the
-    battery; `throttle` [N] 0 to 1; `airspeed_m_s` [N]; `ned_from_body` [N, 4].
+    battery; `throttle` [N] 0 to 1; `airspeed_m_s` [N]; `ned_from_body` [N, 4]. `scatter` [N, 6]
+    1-sigma of what the readings (gyro, accel) hold beside this motion, where it is left out of it.
     """
 
     time_s: Floats
@@ -48,6 +49,7 @@ class Columns:
     throttle: Floats
     airspeed_m_s: Floats
     ned_from_body: Floats
+    scatter: Floats | None = None
 
     def knows(self, name: str) -> bool:
         """Whether the covariate `name` is there at every instant."""

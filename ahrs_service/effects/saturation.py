@@ -4,8 +4,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from scipy.special import ndtr
 
 from ahrs_service.effects.base import Addition, Columns, Effect, Parameter, Values
+from ahrs_service.records import Floats
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,16 @@ class Saturation(Effect):
         )
 
     def add(self, columns: Columns, values: Values) -> Addition:
-        """Return what is cut off."""
+        """Return what is cut off; on average, where noise and vibration are left out."""
         u, limit = self.ideal(columns), float(values["limit"])
-        return self.on_triad(np.clip(u, -limit, limit) - u)
+        if columns.scatter is None or not np.isfinite(limit):
+            return self.on_triad(np.clip(u, -limit, limit) - u)
+        part = columns.scatter[:, :3] if self.triad == "gyro" else columns.scatter[:, 3:]
+        return self.on_triad(_excess(-u - limit, part) - _excess(u - limit, part))
+
+
+def _excess(above: Floats, sigma: Floats) -> Floats:
+    """Return the mean of what is positive of a normal variable of mean `above`."""
+    sigma = np.maximum(sigma, 1e-12)
+    z = above / sigma
+    return np.asarray(sigma * np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) + above * ndtr(z))
