@@ -7,6 +7,7 @@ import numpy as np
 from ahrs_service.diagnosis.blind.case import Case
 from ahrs_service.diagnosis.blind.oracle import share_of_gain
 from ahrs_service.diagnosis.blind.physics import Signals
+from ahrs_service.diagnosis.blind.surroundings import POWER_ON_S
 from ahrs_service.effects.base import Columns, Effect, Values, apply
 from ahrs_service.effects.catalogue import EFFECTS
 
@@ -36,7 +37,7 @@ def _columns(case: Case) -> Columns:
     scene, around = case.scene, case.scene.around
     return Columns(
         time_s=scene.time_s,
-        since_power_on_s=scene.time_s,
+        since_power_on_s=scene.time_s + POWER_ON_S,
         rate_rad_s=scene.motion.rate_rad_s,
         force_m_s2=scene.motion.force_m_s2,
         angular_acceleration_rad_s2=np.gradient(scene.motion.rate_rad_s, scene.time_s, axis=0),

@@ -8,10 +8,11 @@ import numpy as np
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.diagnosis.blind.case import Case
 from ahrs_service.diagnosis.blind.noise import SHAKE_AXES
+from ahrs_service.diagnosis.blind.surroundings import POWER_ON_S
 from ahrs_service.records import Floats, Integers
 from ahrs_service.rotation import euler_columns, multiply_columns
 
-BOOT_US: Final = 5_000_000
+BOOT_US: Final = int(POWER_ON_S * 1e6)
 """Time since boot of the first sample [us]."""
 
 _REFERENCE_HZ: Final = 50

@@ -12,6 +12,9 @@ from ahrs_service.records import Floats
 LAPSE_K_M: Final = 0.0065
 """The standard atmosphere's lapse rate [K/m]."""
 
+POWER_ON_S: Final = 5.0
+"""Time since power-on of the first sample [s]: the clock of every message."""
+
 _START_DEGC: Final = 20.0
 _CHAMBER_AT: Final = (0.0, 0.05, 0.45, 0.55, 0.9, 1.0)
 

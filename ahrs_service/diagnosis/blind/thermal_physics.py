@@ -15,7 +15,7 @@ from ahrs_service.diagnosis.blind.physics import (
     linear,
     on,
 )
-from ahrs_service.diagnosis.blind.surroundings import lag
+from ahrs_service.diagnosis.blind.surroundings import POWER_ON_S, lag
 from ahrs_service.records import Floats
 
 _NOMINAL: Final = {"gyro": 1.0, "accel": 30.0}
@@ -156,7 +156,8 @@ def warm_up(sensor: str) -> Draw:
         a, tau = axes(rng, 2e-3 * _NOMINAL[sensor]), float(rng.uniform(20.0, 120.0))
 
         def signals(scene: Scene, size: float) -> Signals:
-            return on(sensor, size * a * np.exp(-scene.time_s / tau)[:, None])
+            since = scene.time_s + POWER_ON_S
+            return on(sensor, size * a * np.exp(-since / tau)[:, None])
 
         def params(size: float) -> dict[str, Any]:
             return {"amplitude": (size * a).tolist(), "time_constant_s": tau}
