@@ -15,6 +15,7 @@ from links.tlog import Tables, read_tlog
 
 _SCALED: Final = ("SCALED_IMU", "RAW_IMU")
 _MILLI: Final = 1e-3
+_NO_VOLTAGE: Final = 65535
 
 
 def _largest(tables: Tables, name: str) -> Rows | None:
@@ -106,6 +107,16 @@ def _temperature(tables: Tables, clock: _Clock) -> Series:
     return Series()
 
 
+def _supply(battery: Rows | None, clock: _Clock) -> Series:
+    """Return the voltage [V] of the battery: of its first cell field, where autopilots put it."""
+    time_s = clock.of(battery)
+    if battery is None or time_s is None:
+        return Series()
+    first = battery["voltages"][:, 0]
+    known = first != _NO_VOLTAGE
+    return _ordered(time_s[known], first[known] * _MILLI) if known.any() else Series()
+
+
 def read_columns(path: Path, progress: Callable[[float], None] | None = None) -> Recorded:
     """Read what diagnosis takes from a .tlog; RecordingError says what is missing."""
     tables = read_tlog(path, progress).tables
@@ -131,4 +142,5 @@ def read_columns(path: Path, progress: Callable[[float], None] | None = None) ->
         current_a=_series(battery, clock.of(battery), "current_battery", 0.01),
         throttle=_series(hud, clock.of(hud), "throttle", 0.01),
         airspeed_m_s=_series(hud, clock.of(hud), "airspeed"),
+        supply_v=_supply(battery, clock),
     )

@@ -111,10 +111,10 @@ class BenchResidual:
         return np.log(values)
 
     def noise_bounds(self) -> list[tuple[float, float]]:
-        """Return bounds: white noise within a factor of 5, wander 1e-3 to 1e3 of it, 5-1000 s."""
+        """Return bounds: white noise within a factor of 5, wander 1e-3 to 1e3 of it, 15-1000 s."""
         first = self.first_noise()
         white = [(w - np.log(5.0), w + np.log(5.0)) for w in first]
-        times = (np.log(5.0), np.log(1000.0))
+        times = (np.log(15.0), np.log(1000.0))
         wanders = [(first[n] - np.log(300.0), first[n] + np.log(1e3)) for n in (3, 8)]
         return [*white[:3], wanders[0], times, *white[5:8], wanders[1], times]
 

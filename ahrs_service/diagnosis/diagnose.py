@@ -63,7 +63,7 @@ def diagnose(
         _finding(residual, found, step, place) for place, step in enumerate(found.steps)
     )
     left = tuple(
-        Unexplained(_channels(name), (name.split(" ", 1)[1],), (), math.exp(-min(value, 700.0)))
+        Unexplained(_channels(name), _covariates(name), (), math.exp(-min(value, 700.0)))
         for name, value in found.unknown.items()
     )
     verdict = "unexplained" if left else "explained" if findings else "no_mismatch"
@@ -87,6 +87,12 @@ def diagnose(
 def _channels(name: str) -> str:
     triad = name.split(" ", maxsplit=1)[0]
     return triad if triad in ("gyro", "accel") else CHANNELS[0]
+
+
+def _covariates(name: str) -> tuple[str, ...]:
+    covariate = name.split(" ", 1)[1]
+    is_angle = covariate in ("roll", "pitch", "heading")
+    return (covariate, "attitude") if is_angle else (covariate,)
 
 
 def _series(residual: Residual, model: Model) -> ResidualSeries:

@@ -41,6 +41,8 @@ _UNKNOWN_SPEED: Final = 100.0
 _SIZES: Final = 50.0
 _WANDERS: Final = 1000.0
 _TIMES: Final = 30.0
+_SLOW: Final = (float(np.log(15.0)), float(np.log(3000.0)))
+"""Wander is slow: what comes and goes within seconds is motion, and to be explained by it."""
 
 
 class FlightResidual:
@@ -175,9 +177,12 @@ class FlightResidual:
         """Return bounds a factor of 30 about the first sizes, 10 for times."""
         bounds = []
         for name, value in zip(self.noise_names, self.first_noise(), strict=True):
-            is_time = name.endswith(("attitude_s", "velocity_s", "wander_s"))
+            is_time = name.endswith(("attitude_s", "velocity_s"))
             size = _WANDERS if name in ("gyro_wander_rad_s", "accel_wander_m_s2") else _SIZES
             span = np.log(_TIMES if is_time else size)
+            if name.endswith("wander_s"):
+                bounds.append(_SLOW)
+                continue
             bounds.append((value - span, value + span))
         return bounds
 

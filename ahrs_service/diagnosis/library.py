@@ -218,6 +218,8 @@ def regimes(columns: Columns) -> dict[str, Floats]:
         "pitch": np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)),
         "heading": np.arctan2(2.0 * (w * z + x * y), 1.0 - down[:, 2] - down[:, 3]),
     }
+    if columns.supply_v is not None:
+        known["voltage"] = columns.supply_v
     spread = {name: np.ptp(values) for name, values in known.items()}
     return {
         name: values
@@ -227,11 +229,15 @@ def regimes(columns: Columns) -> dict[str, Floats]:
 
 
 def unknown_forms(columns: Columns) -> dict[str, Floats]:
-    """Return smooth forms [N, 4] of each covariate: cubic splines over its range, no constant."""
+    """Return smooth forms [N, 4] of each covariate: cubic splines, of the heading two harmonics."""
     forms = {}
     for name, values in regimes(columns).items():
         low, high = np.quantile(values, [0.002, 0.998])
         if not high > low:
+            continue
+        if name == "heading":
+            turns = np.array([1.0, 2.0]) * values[:, None]
+            forms[name] = np.hstack([np.sin(turns), np.cos(turns)])
             continue
         share = np.clip((values - low) / (high - low), 0.0, 1.0)
         forms[name] = spline_basis(share)

@@ -27,6 +27,7 @@ _UNITS: Final = {
     "roll": "rad",
     "pitch": "rad",
     "heading": "rad",
+    "voltage": "V",
     "time": "s",
 }
 

@@ -72,6 +72,7 @@ def covariates(
         throttle=_smoothed(recorded.throttle, _SMOOTH_S).at(time_s),
         airspeed_m_s=_smoothed(recorded.airspeed_m_s, _SMOOTH_S).at(time_s),
         ned_from_body=attitude,
+        supply_v=_smoothed(recorded.supply_v, _SMOOTH_S).at(time_s),
     )
 
 

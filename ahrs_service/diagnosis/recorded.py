@@ -31,7 +31,8 @@ class Recorded:
     `gyro_rad_s`, `accel_m_s2` at `imu_time_s` as measured; the reference: `attitude`
     (ned_from_body wxyz), `velocity_ned_m_s`, and `body_rate_rad_s` from the same source (which in
     flight may be this very IMU: diagnosis finds out); covariates: the IMU's own
-    `temperature_degc`, `vibration_m_s2` [N, 3], `current_a`, `throttle` 0 to 1, `airspeed_m_s`.
+    `temperature_degc`, `vibration_m_s2` [N, 3], `current_a`, `throttle` 0 to 1, `airspeed_m_s`,
+    `supply_v`.
     """
 
     name: str
@@ -46,3 +47,4 @@ class Recorded:
     current_a: Series
     throttle: Series
     airspeed_m_s: Series
+    supply_v: Series = field(default_factory=Series)
