@@ -16,6 +16,7 @@ from ahrs_service.diagnosis.kalman import whiten_flight
 from ahrs_service.diagnosis.motion import (
     GRAVITY_NED,
     covariates,
+    density,
     ends,
     scatter,
     slow_motion,
@@ -41,6 +42,10 @@ _UNKNOWN_SPEED: Final = 100.0
 _SIZES: Final = 50.0
 _WANDERS: Final = 1000.0
 _TIMES: Final = 30.0
+_GYRO, _ACCEL = slice(0, 3), slice(3, 6)
+_USUAL_DENSITIES: Final = (7e-5, 1e-3)
+_MEASURED: Final = float(np.log(1.3))
+"""The density is read off the IMU's spectrum; the reference's error would hide it."""
 _SLOW: Final = (float(np.log(15.0)), float(np.log(3000.0)))
 """Wander is slow: what comes and goes within seconds is motion, and to be explained by it."""
 
@@ -95,6 +100,7 @@ class FlightResidual:
         self.ends, self.ties = ends(readings)
         self.scatter = scatter(imu_s, readings, slow_motion(imu_s, readings, imu_s), grid_s)
         rate, force = slow[:, :3], slow[:, 3:]
+        self._densities = [density(imu_s, readings[:, part]) for part in (_GYRO, _ACCEL)]
         bias = self._mean_bias(increments, away)
         self.columns = covariates(recorded, grid_s, rate - bias[:3], force - bias[3:], q)
         shaking = self.columns.vibration_m_s2
@@ -169,8 +175,12 @@ class FlightResidual:
 
     def first_noise(self) -> Noise:
         """Return the sizes of a good INS and of a consumer IMU."""
-        attitude, gyro = [7e-4, 6.0, 5e-5], [7e-5, 1e-4, 100.0]
-        velocity, accel = [0.03, 4.0, 0.003], [1e-3, 2e-3, 100.0]
+        attitude, velocity = [7e-4, 6.0, 5e-5], [0.03, 4.0, 0.003]
+        g, a = (
+            seen if np.isfinite(seen) else usual
+            for seen, usual in zip(self._densities, _USUAL_DENSITIES, strict=True)
+        )
+        gyro, accel = [g, 1e-4, 100.0], [a, 2e-3, 100.0]
         return np.log([*attitude, *gyro, *velocity, *accel, 5e-6, 3e-4])
 
     def noise_bounds(self) -> list[tuple[float, float]]:
@@ -180,6 +190,9 @@ class FlightResidual:
             is_time = name.endswith(("attitude_s", "velocity_s"))
             size = _WANDERS if name in ("gyro_wander_rad_s", "accel_wander_m_s2") else _SIZES
             span = np.log(_TIMES if is_time else size)
+            if "density" in name and np.isfinite(self._densities).all():
+                bounds.append((value - _MEASURED, value + _MEASURED))
+                continue
             if name.endswith("wander_s"):
                 bounds.append(_SLOW)
                 continue

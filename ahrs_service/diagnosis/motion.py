@@ -1,12 +1,13 @@
 """The ideal motion and the covariates that effects act on, on the grid of a comparison."""
 
+import math
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import butter, sosfiltfilt
+from scipy.signal import butter, sosfiltfilt, welch
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.diagnosis.recorded import Recorded, Series
@@ -48,10 +49,16 @@ def _vibration(series: Series) -> Series:
     """Return one level for the board: the mean of its three axes."""
     if not len(series):
         return series
-    return _smoothed(Series(series.time_s, series.values.mean(axis=1)), _SMOOTH_S)
+    return _smoothed(Series(series.time_s, series.values.mean(axis=1)), _SHAKEN_S)
 
+
+_SHAKEN_S: Final = 0.15
+"""The same for vibration, which follows the motors within tenths of a second."""
 
 _SCATTER_S: Final = 0.5
+_FLOOR_HZ: Final = (3.0, 20.0)
+_FLOOR_SEGMENT_S: Final = 4.0
+_FLOOR_QUANTILE: Final = 0.1
 
 
 def covariates(
@@ -100,6 +107,21 @@ def scatter(time_s: Floats, readings: Floats, slow: Floats, at_s: Floats) -> Flo
     square = gaussian_filter1d((readings - slow) ** 2, _SCATTER_S / step_s, axis=0, mode="nearest")
     sigma = np.sqrt(np.maximum(square, 0.0))
     return np.column_stack([np.interp(at_s, time_s, column) for column in sigma.T])
+
+
+def density(time_s: Floats, readings: Floats) -> float:
+    """Return the white noise density [unit/sqrt(Hz), two-sided] of readings [N, 3].
+
+    The floor of their spectrum between motion, which is slower, and vibration, which is faster:
+    the lowest tenth between 3 and 20 Hz, of Welch spectra of 4 s.
+    """
+    rate_hz = (len(time_s) - 1) / (time_s[-1] - time_s[0])
+    frequency_hz, power = welch(readings, rate_hz, nperseg=int(_FLOOR_SEGMENT_S * rate_hz), axis=0)
+    band = (frequency_hz > _FLOOR_HZ[0]) & (frequency_hz < min(_FLOOR_HZ[1], 0.4 * rate_hz))
+    if not band.any():
+        return math.nan
+    floor = np.quantile(power[band].mean(axis=1), _FLOOR_QUANTILE)
+    return float(np.sqrt(0.5 * floor))
 
 
 def witnessed(reference: Reference, like: Columns) -> Columns:

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.diagnosis.library import Candidate, Library, Term
+from ahrs_service.diagnosis.library import Candidate, Library, Term, limits
 from ahrs_service.diagnosis.model import (
     Model,
     bare,
@@ -48,6 +48,9 @@ _FREED: Final = 6.0
 """More surprise [nats] asked of a gain that is there only once the wander is fitted again: its size
 and time are badly known, and a smaller wander makes more of any slow regressor."""
 _SHARE_OF_UNKNOWN: Final = 0.3
+_NO_TIES: Final = 12.0
+"""Less surprise [nats] of a limit at which no readings end: it acts on the few largest alone, where
+the reference is worst."""
 
 Progress = Callable[[float], None]
 
@@ -115,7 +118,11 @@ def extend(
 
 def _step(residual: Residual, before: Model, candidate: Candidate, after: Model) -> Step:
     gain = gain_between(residual, before, after)
-    return Step(candidate, after, gain, surprise(gain, candidate.freedom))
+    value = surprise(gain, candidate.freedom)
+    if candidate.effect is not None and candidate.effect.name == "saturation":
+        low, high = limits(residual, candidate.effect)
+        value -= 0.0 if low == high else _NO_TIES
+    return Step(candidate, after, gain, value)
 
 
 def _named(ranking: list[tuple[Candidate, float]], model: Model) -> list[tuple[Candidate, float]]:
