@@ -19,6 +19,7 @@ COMMANDS: Final = {
     "calibrate": ("ahrs_service.app.calibrate.command", "calibrate a sensor, or look at one"),
     "diagnose": ("ahrs_service.app.diagnose", "name what an IMU does that its twin does not"),
     "play": ("ahrs_service.app.play", "play a recording over a link in real time"),
+    "prove": ("ahrs_service.app.prove", "hide physics in recordings and score its discovery"),
     "simulate": ("ahrs_service.app.simulate", "fly the simulated autopilot over a link"),
 }
 
