@@ -27,7 +27,7 @@ def test_a_profile_names_its_class_and_gives_all_its_numbers(name):
     airframe = CLASSES.get(name, name)
     settings = load(profile=name)
     assert settings.fusion.airframe == airframe
-    document = config_file._read_toml(profiles.file_of(name))
+    document = config_file.read_toml(profiles.file_of(name))
     fields = [field.name for field in dataclasses.fields(getattr(settings, airframe))]
     assert set(document[airframe]) == set(fields)
 
@@ -194,7 +194,7 @@ def estimated(given, out, *options):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_estimate_with_a_profile_is_estimate_with_its_settings(given, tmp_path, name):
-    document = config_file._read_toml(profiles.file_of(name))
+    document = config_file.read_toml(profiles.file_of(name))
     overrides = [
         f"--set={section}.{key}={value}"
         for section, part in document.items()
