@@ -164,15 +164,16 @@ def compensate(
 def compensate_sample(coefficients: Rows, state: Record, sample: Record) -> int:
     """Write `gyro_rad_s` and `accel_m_s2` of the state from a sample; return the sample's flags.
 
-    What comes of an IMU that the calibration is not of is taken as it is, and flagged; so is what
-    lacks the temperature on which its drift depends.
+    Without a calibration they are the sample's. So is what comes of an IMU that the calibration is
+    not of, and it is flagged; flagged too is what lacks the temperature on which its drift depends.
     """
     row, flags = coefficients[0], sample["flags"]
-    if row["holds_for_source"][sample["source"]] == 0:
+    is_ideal = row["is_ideal"] != 0
+    if is_ideal or row["holds_for_source"][sample["source"]] == 0:
         for i in range(3):
             state["gyro_rad_s"][i] = sample["gyro_rad_s"][i]
             state["accel_m_s2"][i] = sample["accel_m_s2"][i]
-        return flags | _UNCOMPENSATED
+        return flags if is_ideal else flags | _UNCOMPENSATED
     if flags & _IMU_CHANGED != 0:
         forget_temperature(state)
     reported_degc = sample["temperature_degc"]

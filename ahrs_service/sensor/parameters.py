@@ -65,7 +65,12 @@ _TRIAD: Final = [
 ]
 _SOURCES: Final = 16
 COEFFICIENTS_DTYPE: Final[np.dtype[Any]] = np.dtype(
-    [("gyro", _TRIAD), ("accel", _TRIAD), ("holds_for_source", "u1", _SOURCES)]
+    [
+        ("gyro", _TRIAD),
+        ("accel", _TRIAD),
+        ("holds_for_source", "u1", _SOURCES),
+        ("is_ideal", "u1"),
+    ]
 )
 """What the kernels of compensation and forward read: per triad K, K^-1, B, G, the borders of the
 segments, `drift` [segment, column, power of T - border], whether dK and G are there at all; and for
@@ -217,6 +222,7 @@ def coefficients(calibration: Calibration) -> Rows:
     for source in ImuSource:
         is_its_own = calibration.imu in (None, IMU_OF_SOURCE.get(source, 0))
         rows["holds_for_source"][0, source] = is_its_own
+    rows["is_ideal"] = calibration.gyro == calibration.accel == TriadCalibration()
     return rows
 
 
