@@ -11,8 +11,8 @@ from rich.console import Console
 from ahrs_service.app import calibration_file, cli
 from ahrs_service.app.calibrate import parameter_change
 from ahrs_service.app.simulate import LinkFlight
-from ahrs_service.calibration.ardupilot_params import to_ardupilot
-from ahrs_service.calibration.px4_params import to_px4
+from ahrs_service.calibration.autopilots.ardupilot_params import to_ardupilot
+from ahrs_service.calibration.autopilots.px4_params import to_px4
 from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration
 from ahrs_service.sensor.provenance import Verdict

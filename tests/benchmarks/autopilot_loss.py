@@ -17,8 +17,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ahrs_service.calibration.ardupilot_params import to_ardupilot
-from ahrs_service.calibration.px4_params import to_px4
+from ahrs_service.calibration.autopilots.ardupilot_params import to_ardupilot
+from ahrs_service.calibration.autopilots.px4_params import to_px4
 from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.parameters import TriadCalibration
 from ahrs_service.simulation.thermal_parts import draw_unit

@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ahrs_service.calibration.double_compensation import forms_in_force
+from ahrs_service.calibration.autopilots.double_compensation import forms_in_force
 from links.recorded_parameters import read_recorded_parameters
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "data"

@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from ahrs_service.calibration.seed_comparison import METHODS, Bench, calibrate_bench, residuals
+from ahrs_service.calibration.thermal.comparison import METHODS, Bench, calibrate_bench, residuals
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from viz.thermal_figure import draw_residuals
 

@@ -28,10 +28,10 @@ from rich.console import Console
 from rich.table import Table
 from thermal_recordings import Series, Silent, every_series
 
-from ahrs_service.calibration.held_out import TENTHS, HeldOut, fit_chosen, hold_out
-from ahrs_service.calibration.smooth_drift import Structure
-from ahrs_service.calibration.smooth_thermal import Axes, fit_curves, fit_smooth
-from ahrs_service.calibration.thermal_rows import ThermalRows
+from ahrs_service.calibration.thermal.held_out import TENTHS, HeldOut, fit_chosen, hold_out
+from ahrs_service.calibration.thermal.rows import ThermalRows
+from ahrs_service.calibration.thermal.smooth import Axes, fit_curves, fit_smooth
+from ahrs_service.calibration.thermal.smooth_drift import Structure
 from ahrs_service.calibration.verdict import SMALLEST_SPAN_K, Level, span_finding
 
 CUBIC = (Structure(bias=(3, 1)),) * 3

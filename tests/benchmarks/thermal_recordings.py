@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from ahrs_service.calibration.columns import ImuColumns
 from ahrs_service.calibration.errors import CalibrationError
-from ahrs_service.calibration.thermal_poses import joined, still_rows
-from ahrs_service.calibration.thermal_rows import ThermalRows
+from ahrs_service.calibration.thermal.poses import joined, still_rows
+from ahrs_service.calibration.thermal.rows import ThermalRows
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.records import Floats, ImuSource, Kind, Rows
 from links.dataflash_tables import read_tables

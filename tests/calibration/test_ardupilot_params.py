@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ahrs_service.calibration.ardupilot_params import (
+from ahrs_service.calibration.autopilots.ardupilot_params import (
     Names,
     forms_of_ardupilot,
     from_ardupilot,
     to_ardupilot,
 )
-from ahrs_service.calibration.board_rotation import body_from_sensor
+from ahrs_service.calibration.autopilots.board_rotation import body_from_sensor
 from ahrs_service.sensor.compensation import compensate_columns
 from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration, coefficients

@@ -3,7 +3,7 @@ import re
 import numpy as np
 import pytest
 
-from ahrs_service.calibration.board_rotation import board_rotation, body_from_sensor
+from ahrs_service.calibration.autopilots.board_rotation import board_rotation, body_from_sensor
 from links.mavlink_codec import dialect
 
 NAMES = {

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ahrs_service.calibration.coloured import hysteresis, inflation
+from ahrs_service.calibration.thermal.coloured import hysteresis, inflation
 from ahrs_service.sensor.noise import first_order
 
 

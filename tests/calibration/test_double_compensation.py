@@ -1,6 +1,6 @@
 import pytest
 
-from ahrs_service.calibration.double_compensation import (
+from ahrs_service.calibration.autopilots.double_compensation import (
     PX4,
     already_compensated,
     forms_in_force,

@@ -8,8 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ahrs_service.calibration.board_rotation import body_from_sensor
-from ahrs_service.calibration.px4_params import forms_of_px4, from_px4, thermal_slot, to_px4
+from ahrs_service.calibration.autopilots.board_rotation import body_from_sensor
+from ahrs_service.calibration.autopilots.px4_params import (
+    forms_of_px4,
+    from_px4,
+    thermal_slot,
+    to_px4,
+)
 from ahrs_service.sensor.compensation import compensate_columns
 from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration, coefficients

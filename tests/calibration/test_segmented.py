@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from ahrs_service.calibration.errors import CalibrationError
-from ahrs_service.calibration.segmented import fit_conventional, fit_improved
-from ahrs_service.calibration.thermal_rows import ThermalRows
+from ahrs_service.calibration.thermal.rows import ThermalRows
+from ahrs_service.calibration.thermal.segmented import fit_conventional, fit_improved
 from ahrs_service.sensor.compensation import compensate_columns
 from ahrs_service.sensor.parameters import Calibration, coefficients
 

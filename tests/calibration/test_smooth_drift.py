@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from ahrs_service.calibration.held_out import hold_out
-from ahrs_service.calibration.smooth_choice import Choice, level_outputs, time_folds
-from ahrs_service.calibration.smooth_drift import AxisProblem, Scale, Structure
-from ahrs_service.calibration.smooth_thermal import fit_smooth, smooth_calibration
-from ahrs_service.calibration.thermal_rows import ThermalRows
+from ahrs_service.calibration.thermal.held_out import hold_out
+from ahrs_service.calibration.thermal.rows import ThermalRows
+from ahrs_service.calibration.thermal.smooth import fit_smooth, smooth_calibration
+from ahrs_service.calibration.thermal.smooth_choice import Choice, level_outputs, time_folds
+from ahrs_service.calibration.thermal.smooth_drift import AxisProblem, Scale, Structure
 from ahrs_service.sensor.compensation import compensate_columns
 from ahrs_service.sensor.noise import first_order
 from ahrs_service.sensor.parameters import Calibration, coefficients
@@ -93,8 +93,8 @@ def test_the_errors_told_are_the_scatter_of_the_fits(keep):
     """Of 60 runs with noise white or coloured; without the colour the errors are 3 times small."""
     at = np.array([0.0, 40.0])
     structures = (Structure(bias=(3, 3)),) * 3
-    from ahrs_service.calibration.coloured import inflation
-    from ahrs_service.calibration.smooth_thermal import fit_curves
+    from ahrs_service.calibration.thermal.coloured import inflation
+    from ahrs_service.calibration.thermal.smooth import fit_curves
 
     found, told = [], []
     for seed in range(60):

@@ -5,7 +5,7 @@ import pytest
 
 from ahrs_service.calibration.columns import ImuColumns
 from ahrs_service.calibration.errors import CalibrationError
-from ahrs_service.calibration.thermal import calibrate_thermal
+from ahrs_service.calibration.thermal.procedure import calibrate_thermal
 from ahrs_service.calibration.verdict import Level
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration
 

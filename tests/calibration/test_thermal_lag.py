@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from ahrs_service.calibration.smooth_choice import level_outputs
-from ahrs_service.calibration.smooth_drift import Structure
-from ahrs_service.calibration.thermal_lag import LARGEST_LAG_S, estimate_lag
-from ahrs_service.calibration.thermal_rows import ThermalRows, element_degc
+from ahrs_service.calibration.thermal.lag import LARGEST_LAG_S, estimate_lag
+from ahrs_service.calibration.thermal.rows import ThermalRows, element_degc
+from ahrs_service.calibration.thermal.smooth_choice import level_outputs
+from ahrs_service.calibration.thermal.smooth_drift import Structure
 
 LAG_S = 40.0
 CUBIC = (Structure(bias=(3, 1)),) * 3

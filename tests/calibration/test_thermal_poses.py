@@ -5,7 +5,7 @@ import pytest
 
 from ahrs_service.calibration.columns import ImuColumns
 from ahrs_service.calibration.errors import CalibrationError
-from ahrs_service.calibration.thermal_poses import joined, still_rows
+from ahrs_service.calibration.thermal.poses import joined, still_rows
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 
 RATE_HZ = 20.0

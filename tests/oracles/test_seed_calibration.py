@@ -11,7 +11,7 @@ import math
 import numpy as np
 import pytest
 
-from ahrs_service.calibration.seed_comparison import calibrate_bench, residuals
+from ahrs_service.calibration.thermal.comparison import calibrate_bench, residuals
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 
 MILLI_G = 1e-3 * STANDARD_GRAVITY_M_S2

@@ -2,10 +2,13 @@
 
 import pytest
 
-from ahrs_service.calibration.ardupilot_params import from_ardupilot, to_ardupilot
-from ahrs_service.calibration.board_rotation import board_rotation
-from ahrs_service.calibration.double_compensation import already_compensated, forms_in_force
-from ahrs_service.calibration.px4_params import from_px4, to_px4
+from ahrs_service.calibration.autopilots.ardupilot_params import from_ardupilot, to_ardupilot
+from ahrs_service.calibration.autopilots.board_rotation import board_rotation
+from ahrs_service.calibration.autopilots.double_compensation import (
+    already_compensated,
+    forms_in_force,
+)
+from ahrs_service.calibration.autopilots.px4_params import from_px4, to_px4
 from ahrs_service.records import ImuSource
 from links.recorded_parameters import read_recorded_parameters
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from ahrs_service import intake
 from ahrs_service.app.config_file import ConfigError
+from ahrs_service.calibration.autopilots.double_compensation import already_compensated
 from ahrs_service.calibration.columns import ImuColumns
-from ahrs_service.calibration.double_compensation import already_compensated
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.records import SAMPLE_DTYPE, ImuSource, Kind, Rows, empty

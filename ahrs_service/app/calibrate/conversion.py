@@ -7,10 +7,10 @@ from typing import Final
 
 from ahrs_service.app.calibrate import parameter_change
 from ahrs_service.app.config_file import ConfigError
-from ahrs_service.calibration import ardupilot_params, px4_params
-from ahrs_service.calibration.board_rotation import board_rotation, body_from_sensor
-from ahrs_service.calibration.double_compensation import forms_in_force
-from ahrs_service.calibration.export import Export
+from ahrs_service.calibration.autopilots import ardupilot_params, px4_params
+from ahrs_service.calibration.autopilots.board_rotation import board_rotation, body_from_sensor
+from ahrs_service.calibration.autopilots.double_compensation import forms_in_force
+from ahrs_service.calibration.autopilots.export import Export
 from ahrs_service.records import Floats
 from ahrs_service.sensor.parameters import Calibration
 from links.errors import ParamError

@@ -27,9 +27,9 @@ from ahrs_service.app.calibrate import parameter_change
 from ahrs_service.app.calibrate.conversion import exports_of, typed
 from ahrs_service.app.calibrate.loss_table import loss_table
 from ahrs_service.app.config_file import ConfigError
-from ahrs_service.calibration import ardupilot_params, px4_params
-from ahrs_service.calibration.double_compensation import already_compensated
-from ahrs_service.calibration.export import Export
+from ahrs_service.calibration.autopilots import ardupilot_params, px4_params
+from ahrs_service.calibration.autopilots.double_compensation import already_compensated
+from ahrs_service.calibration.autopilots.export import Export
 from ahrs_service.records import ImuSource
 from ahrs_service.sensor.parameters import Calibration
 from links.errors import ParamError

@@ -29,7 +29,7 @@ from ahrs_service.app.calibrate.export import (
     signer_of,
     speaker,
 )
-from ahrs_service.calibration import ardupilot_params, px4_params
+from ahrs_service.calibration.autopilots import ardupilot_params, px4_params
 from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.sensor.provenance import Provenance, SourceRecording
 from links.errors import ParamError

@@ -6,8 +6,8 @@ from typing import Final
 
 from rich.table import Table
 
-from ahrs_service.calibration.autopilot_form import Triad
-from ahrs_service.calibration.autopilot_loss import Loss
+from ahrs_service.calibration.autopilots.form import Triad
+from ahrs_service.calibration.autopilots.loss import Loss
 
 _UNITS: Final = {"m/s^2": (1.0, "m/s²"), "rad/s": (math.degrees(1.0), "°/s")}
 

@@ -36,8 +36,8 @@ from rich.table import Table
 from ahrs_service.app import calibration_file
 from ahrs_service.app.calibrate import capture, outcome, poses, session
 from ahrs_service.app.options import positive
-from ahrs_service.calibration.thermal import PROCEDURE, ThermalResult, calibrate_thermal
-from ahrs_service.calibration.thermal_guide import guide_thermal
+from ahrs_service.calibration.thermal.guide import guide_thermal
+from ahrs_service.calibration.thermal.procedure import PROCEDURE, ThermalResult, calibrate_thermal
 from ahrs_service.calibration.verdict import TriadVerdict
 from ahrs_service.records import Kind
 from ahrs_service.sensor.parameters import Calibration

@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.calibration.smooth_drift import AxisProblem, Scale, Structure
-from ahrs_service.calibration.temperature_basis import LADDER
-from ahrs_service.calibration.thermal_rows import ThermalRows
+from ahrs_service.calibration.thermal.basis import LADDER
+from ahrs_service.calibration.thermal.rows import ThermalRows
+from ahrs_service.calibration.thermal.smooth_drift import AxisProblem, Scale, Structure
 from ahrs_service.records import Floats, Integers
 
 FOLDS: Final = 11

@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.calibration.smooth_choice import level_outputs
-from ahrs_service.calibration.smooth_thermal import Axes, fit_smooth
-from ahrs_service.calibration.thermal_rows import ThermalRows
+from ahrs_service.calibration.thermal.rows import ThermalRows
+from ahrs_service.calibration.thermal.smooth import Axes, fit_smooth
+from ahrs_service.calibration.thermal.smooth_choice import level_outputs
 from ahrs_service.records import Floats, Integers
 
 Fit = Callable[[ThermalRows, float], tuple[Axes, float] | None]

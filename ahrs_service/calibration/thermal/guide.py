@@ -12,8 +12,8 @@ from ahrs_service.calibration.columns import ImuColumns
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.guide import Guidance, Refusal
 from ahrs_service.calibration.poses import directions, sphere_coverage
-from ahrs_service.calibration.thermal_poses import still_rows
-from ahrs_service.calibration.thermal_rows import ThermalRows
+from ahrs_service.calibration.thermal.poses import still_rows
+from ahrs_service.calibration.thermal.rows import ThermalRows
 
 MOVING_S: Final = 5.0
 STALE_S: Final = 300.0

@@ -12,8 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.calibration import ardupilot_params, px4_params
-from ahrs_service.calibration.autopilot_form import Triad, TriadForm
+from ahrs_service.calibration.autopilots import ardupilot_params, px4_params
+from ahrs_service.calibration.autopilots.form import Triad, TriadForm
 from ahrs_service.records import IMU_OF_SOURCE, ImuSource
 
 PX4: Final = 12

@@ -11,7 +11,6 @@ from typing import Final, Literal
 
 import numpy as np
 
-from ahrs_service.calibration.coloured import Hysteresis, hysteresis
 from ahrs_service.calibration.columns import (
     AXES,
     ImuColumns,
@@ -20,10 +19,11 @@ from ahrs_service.calibration.columns import (
     check_temperature,
 )
 from ahrs_service.calibration.errors import CalibrationError
-from ahrs_service.calibration.held_out import HeldOut, hold_out
-from ahrs_service.calibration.smooth_thermal import SmoothFit, fit_smooth, smooth_calibration
-from ahrs_service.calibration.thermal_poses import joined, still_rows
-from ahrs_service.calibration.thermal_rows import ThermalRows
+from ahrs_service.calibration.thermal.coloured import Hysteresis, hysteresis
+from ahrs_service.calibration.thermal.held_out import HeldOut, hold_out
+from ahrs_service.calibration.thermal.poses import joined, still_rows
+from ahrs_service.calibration.thermal.rows import ThermalRows
+from ahrs_service.calibration.thermal.smooth import SmoothFit, fit_smooth, smooth_calibration
 from ahrs_service.calibration.triad import rms, vector
 from ahrs_service.calibration.verdict import (
     Finding,

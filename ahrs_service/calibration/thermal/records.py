@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ahrs_service.calibration.temperature_basis import Basis
+from ahrs_service.calibration.thermal.basis import Basis
 from ahrs_service.calibration.triad import vector
 from ahrs_service.records import Floats
 from ahrs_service.sensor.curve import Curve

@@ -6,9 +6,9 @@ from typing import Final
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
-from ahrs_service.calibration.coloured import inflation
-from ahrs_service.calibration.smooth_drift import AxisProblem, Structure
-from ahrs_service.calibration.thermal_rows import ThermalRows
+from ahrs_service.calibration.thermal.coloured import inflation
+from ahrs_service.calibration.thermal.rows import ThermalRows
+from ahrs_service.calibration.thermal.smooth_drift import AxisProblem, Structure
 from ahrs_service.records import Floats
 
 LARGEST_LAG_S: Final = 180.0

@@ -9,16 +9,16 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.calibration.segmented import fit_conventional, fit_improved
-from ahrs_service.calibration.smooth_drift import Structure
-from ahrs_service.calibration.smooth_thermal import (
+from ahrs_service.calibration.thermal.records import matrix_rows
+from ahrs_service.calibration.thermal.rows import ThermalRows
+from ahrs_service.calibration.thermal.segmented import fit_conventional, fit_improved
+from ahrs_service.calibration.thermal.smooth import (
     SmoothFit,
     fit_curves,
     fit_smooth,
     smooth_calibration,
 )
-from ahrs_service.calibration.thermal_records import matrix_rows
-from ahrs_service.calibration.thermal_rows import ThermalRows
+from ahrs_service.calibration.thermal.smooth_drift import Structure
 from ahrs_service.calibration.triad import fit_triad, vector
 from ahrs_service.records import Floats, Integers
 from ahrs_service.sensor.compensation import compensate_columns

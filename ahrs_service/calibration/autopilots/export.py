@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ahrs_service.calibration.autopilot_form import Triad
-from ahrs_service.calibration.autopilot_loss import Loss
+from ahrs_service.calibration.autopilots.form import Triad
+from ahrs_service.calibration.autopilots.loss import Loss
 from ahrs_service.records import Floats
 
 Values = dict[str, float | int]

@@ -17,8 +17,8 @@ from typing import Final
 import numpy as np
 import scipy.linalg
 
-from ahrs_service.calibration.temperature_basis import Basis
-from ahrs_service.calibration.thermal_rows import ThermalRows
+from ahrs_service.calibration.thermal.basis import Basis
+from ahrs_service.calibration.thermal.rows import ThermalRows
 from ahrs_service.records import Floats, Integers
 
 _RANK: Final = 1e-10

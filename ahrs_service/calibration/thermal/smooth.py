@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ahrs_service.calibration.coloured import inflation
-from ahrs_service.calibration.smooth_choice import Choice, level_outputs
-from ahrs_service.calibration.smooth_drift import AxisCurves, AxisProblem, Structure
-from ahrs_service.calibration.thermal_lag import Lag, estimate_lag
-from ahrs_service.calibration.thermal_records import columns_of, matrix_rows, sum_of
-from ahrs_service.calibration.thermal_rows import ThermalRows
+from ahrs_service.calibration.thermal.coloured import inflation
+from ahrs_service.calibration.thermal.lag import Lag, estimate_lag
+from ahrs_service.calibration.thermal.records import columns_of, matrix_rows, sum_of
+from ahrs_service.calibration.thermal.rows import ThermalRows
+from ahrs_service.calibration.thermal.smooth_choice import Choice, level_outputs
+from ahrs_service.calibration.thermal.smooth_drift import AxisCurves, AxisProblem, Structure
 from ahrs_service.calibration.triad import vector
 from ahrs_service.records import Floats
 from ahrs_service.sensor.curve import Curve

@@ -1,0 +1,1 @@
+"""The autopilots' own parameters of calibration: ours as theirs, theirs as ours."""

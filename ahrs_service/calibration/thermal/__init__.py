@@ -1,0 +1,1 @@
+"""Drift over temperature: how it is fitted, and what a fit is worth."""
