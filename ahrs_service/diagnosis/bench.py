@@ -16,6 +16,7 @@ from ahrs_service.diagnosis.motion import GRAVITY_NED, covariates, ends, scatter
 from ahrs_service.diagnosis.recorded import Recorded
 from ahrs_service.diagnosis.reference import Reference, body_vectors, excursions, jumps, turns
 from ahrs_service.diagnosis.residual import Grams, Noise
+from ahrs_service.diagnosis.windows import means
 from ahrs_service.effects.base import Addition
 from ahrs_service.records import Floats
 
@@ -65,9 +66,7 @@ class BenchResidual:
 
     def _windows(self, values: Floats) -> Floats:
         """Return the means of successive windows of the grid."""
-        count = len(values) // self._window
-        cut = values[: count * self._window]
-        return np.asarray(cut.reshape(count, self._window, *values.shape[1:]).mean(axis=1))
+        return means(values, self._window)
 
     def _without_reference(self, reference: Reference, time_s: Floats) -> Floats:
         """Return which windows [N] hold a jump of the encoder or a stay away from the truth."""

@@ -32,6 +32,8 @@ from ahrs_service.records import Floats
 
 _AXIS_SIGMA: Final = 3.0
 _FALLBACK: Final = "whole recording"
+_COMPARED, _PROJECTED, _SEARCH, _JUDGED = 0.06, 0.24, 0.56, 0.85
+"""Shares of the whole time: compared, responses projected, the search's own, findings judged."""
 
 
 def compare(recorded: Recorded, twin: tuple[Term, ...] = ()) -> Residual:
@@ -55,9 +57,13 @@ def diagnose(
 
     `twin` the effects that are already known; `progress` is called with the share done, 0 to 1.
     """
+    tell = progress or (lambda share: None)
     residual = compare(recorded, twin)
+    tell(_COMPARED)
     library = library_of(residual)
-    found = search(residual, library, progress)
+    tell(_PROJECTED)
+    found = search(residual, library, lambda share: tell(_PROJECTED + _SEARCH * share))
+    tell(_PROJECTED + _SEARCH)
     model = found.model
     findings = tuple(
         _finding(residual, found, step, place) for place, step in enumerate(found.steps)
@@ -69,6 +75,7 @@ def diagnose(
     verdict = "unexplained" if left else "explained" if findings else "no_mismatch"
     triad = findings[0].effect.split("_")[0] if findings else "gyro"
     whole = held_out(residual, found.bare, model, triad) if model.terms else None
+    tell(_JUDGED)
     noise = dict(zip(residual.noise_names, np.exp(model.noise).tolist(), strict=True))
     return Diagnosis(
         verdict=verdict,  # type: ignore[arg-type]

@@ -31,6 +31,7 @@ from ahrs_service.diagnosis.reference import (
     rotation_vectors,
 )
 from ahrs_service.diagnosis.residual import Grams, Noise
+from ahrs_service.diagnosis.windows import gathered_means, means
 from ahrs_service.effects.base import Addition
 from ahrs_service.records import Floats
 from ahrs_service.rotation import inverse_columns, multiply_columns, rotate_columns
@@ -73,6 +74,8 @@ class FlightResidual:
     def __init__(self, recorded: Recorded, reference: Reference) -> None:
         grid_s, q = reference.time_s, reference.ned_from_body
         self._q = q
+        axes = [rotate_columns(q, np.broadcast_to(axis, (len(q), 3))) for axis in np.eye(3)]
+        self._axes = np.ascontiguousarray(np.stack(axes, axis=2))
         self._steps = np.diff(grid_s)[:, None]
         length_s = grid_s[-1] - grid_s[0]
         window_s = max(_STEP_S, length_s / _MOST_ROWS)
@@ -122,15 +125,11 @@ class FlightResidual:
 
     def _windows(self, values: Floats) -> Floats:
         """Return the means of successive windows of the grid."""
-        count = len(values) // self._window
-        cut = values[: count * self._window]
-        return np.asarray(cut.reshape(count, self._window, *values.shape[1:]).mean(axis=1))
+        return means(values, self._window)
 
     def _paths(self, gathered: Floats) -> tuple[Floats, Floats, Floats]:
         """Return mean rotation and integrated -[f x] of the steps to each row; rotation there."""
-        shape = (len(self._q), 3)
-        axes = [rotate_columns(self._q, np.broadcast_to(axis, shape)) for axis in np.eye(3)]
-        path = self._windows(np.stack(axes, axis=2))
+        path = self._windows(self._axes)
         turn_of_step = path.copy()
         turn_of_step[1:] = 0.5 * (path[1:] + path[:-1])
         speed = self._windows(self._sum(rotate_columns(self._q[:-1], gathered)))
@@ -159,9 +158,9 @@ class FlightResidual:
         rows = np.zeros(self.rows.shape)
         for part, added in enumerate((addition.gyro, addition.accel)):
             if added is not None:
-                ned = rotate_columns(self._q, added)
-                gathered = self._sum(0.5 * (ned[1:] + ned[:-1]) * self._steps)
-                rows[:, 3 * part : 3 * part + 3] = self._windows(gathered)
+                steps_s = self._steps[:, 0]
+                gathered = gathered_means(self._axes, added, steps_s, self._window)
+                rows[:, 3 * part : 3 * part + 3] = gathered
         return rows
 
     def project_body(self, addition: Addition) -> Floats:

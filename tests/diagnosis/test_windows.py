@@ -1,0 +1,33 @@
+"""Window means and what is gathered until them, against numpy's own sums."""
+
+import numpy as np
+
+from ahrs_service.diagnosis.windows import gathered_means, means
+from ahrs_service.rotation import rotate_columns
+
+COUNT, WINDOW = 103, 5
+
+
+def by_reshape(values):
+    cut = values[: len(values) // WINDOW * WINDOW]
+    return cut.reshape(-1, WINDOW, *values.shape[1:]).mean(axis=1)
+
+
+def test_means_are_those_of_a_reshape_and_leave_out_the_rest():
+    rng = np.random.default_rng(1)
+    for shape in ((COUNT,), (COUNT, 3), (COUNT, 3, 3)):
+        values = rng.normal(size=shape)
+        np.testing.assert_allclose(means(values, WINDOW), by_reshape(values), atol=1e-14)
+
+
+def test_what_is_gathered_is_the_trapezoid_sum_in_earth_axes():
+    rng = np.random.default_rng(2)
+    q = rng.normal(size=(COUNT, 4))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    added, steps_s = rng.normal(size=(COUNT, 3)), rng.uniform(0.01, 0.03, COUNT - 1)
+    axes = [rotate_columns(q, np.broadcast_to(axis, (COUNT, 3))) for axis in np.eye(3)]
+    ned = rotate_columns(q, added)
+    pieces = 0.5 * (ned[1:] + ned[:-1]) * steps_s[:, None]
+    gathered = np.vstack([np.zeros((1, 3)), np.cumsum(pieces, axis=0)])
+    found = gathered_means(np.stack(axes, axis=2).copy(), added, steps_s, WINDOW)
+    np.testing.assert_allclose(found, by_reshape(gathered), atol=1e-13)
