@@ -5,15 +5,14 @@ A round trip is exact, for numbers are written with all their digits. What a fil
 
 import dataclasses
 import json
-import os
-import tempfile
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
 from pydantic import TypeAdapter, ValidationError
 
+from ahrs_service.app import toml_file
 from ahrs_service.app.config_file import ConfigError
 from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration
@@ -32,7 +31,6 @@ _CLASSES: Final = {
     **dict.fromkeys(("a", "b", "c", "matrix_drift", "bias_sigma", "scale_sigma"), Curve),
 }
 _LONGEST_VALUE: Final = 100
-_LONGEST_LINE: Final = 90
 
 
 def load(path: str | Path) -> Calibration:
@@ -72,42 +70,12 @@ def to_json(calibration: Calibration) -> bytes:
 
 def to_toml(calibration: Calibration) -> str:
     """Return the text of a calibration's file; what is nil is left out."""
-    return "\n".join(_table("", _changed(calibration))).lstrip("\n") + "\n"
+    return toml_file.text_of(_changed(calibration))
 
 
 def save(path: str | Path, calibration: Calibration) -> None:
-    """Write a calibration so that no reader ever finds half a file; ConfigError if it cannot be.
-
-    It is written beside `path`, forced to the disk, and then put in its place.
-    """
-    path, text = Path(path), to_toml(calibration)
-    try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-            # A temporary file is its owner's alone; a calibration is read by the daemon's user.
-            Path(name).chmod(0o644)
-            os.replace(name, path)
-        except BaseException:
-            Path(name).unlink(missing_ok=True)
-            raise
-        _sync_folder(path.parent)
-    except OSError as error:
-        raise ConfigError(
-            f"{path}: cannot be written: {error.strerror or error}; give a place that can be"
-        ) from None
-
-
-def _sync_folder(folder: Path) -> None:
-    """Force the new name to the disk too."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+    """Write a calibration so that no reader ever finds half a file; ConfigError if it cannot be."""
+    toml_file.write_whole(Path(path), to_toml(calibration).encode())
 
 
 def _from_document(document: Any, origin: str) -> Calibration:
@@ -164,48 +132,3 @@ def _default(field: "dataclasses.Field[Any]") -> Any:
     if field.default_factory is not dataclasses.MISSING:
         return field.default_factory()
     return field.default
-
-
-def _table(name: str, table: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the lines of a table: its own values first, then the tables inside."""
-    if name:
-        yield f"\n[{name}]"
-    inside = {}
-    for key, value in table.items():
-        if isinstance(value, dict) or (isinstance(value, list) and isinstance(value[0], dict)):
-            inside[key] = value
-        else:
-            yield f"{_key(key)} = {_value(value, rows=True)}"
-    for key, value in inside.items():
-        full = f"{name}.{_key(key)}" if name else _key(key)
-        if isinstance(value, dict):
-            yield from _table(full, value)
-            continue
-        for item in value:
-            yield f"\n[[{full}]]"
-            yield from _table("", item)
-
-
-def _value(value: Any, rows: bool = False) -> str:
-    """Write a value of TOML; with `rows` long lists one item a line."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return _text(value)
-    if isinstance(value, list):
-        items = [_value(item) for item in value]
-        line = f"[{', '.join(items)}]"
-        if rows and len(line) > _LONGEST_LINE and isinstance(value[0], (list, str)):
-            return "[\n" + "".join(f"    {item},\n" for item in items) + "]"
-        return line
-    return repr(value)
-
-
-def _text(text: str) -> str:
-    """Write a basic string; TOML's escapes are JSON's, but for the delete character."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def _key(key: str) -> str:
-    is_bare = key.isascii() and key.replace("_", "").replace("-", "").isalnum()
-    return key if is_bare else _text(key)

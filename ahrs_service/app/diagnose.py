@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
         _write_json(args.json, diagnosis, against)
     if args.html is not None:
         content = page(args.recording.name, diagnosis, against)
-        toml_file.write_atomically(args.html, content.encode())
+        toml_file.write_whole(args.html, content.encode())
     if args.rrd is not None:
         _write_rrd(args.rrd, args.recording.name, diagnosis)
     if args.write_twin is not None:
@@ -173,7 +173,7 @@ def _write_json(path: Path, diagnosis: Diagnosis, against: tuple[str, Diagnosis]
             "lacks": [finding.effect for finding in findings],
             "lacks_unexplained": [item.channel for item in unexplained],
         }
-    toml_file.write_atomically(path, (json.dumps(report, indent=1) + "\n").encode())
+    toml_file.write_whole(path, (json.dumps(report, indent=1) + "\n").encode())
 
 
 def _write_rrd(path: Path, name: str, diagnosis: Diagnosis) -> None:

@@ -1,19 +1,18 @@
 """TOML files as frozen dataclasses: read strictly by pydantic, written whole or not at all."""
 
 import json
-import math
 import os
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
 from ahrs_service.app.config_file import ConfigError, read_toml
-from links.errors import LinkError
 
 _T = TypeVar("_T")
+_LONGEST_LINE: Final = 90
 
 
 def read_as(path: Path, kind: type[_T]) -> _T:
@@ -40,32 +39,52 @@ def _line(problem: Any) -> str:
 
 
 def write(path: Path, document: Mapping[str, Any], heading: str = "") -> None:
-    """Write a document of numbers, texts, lists and tables; `heading` stands first as comments.
-
-    The file is replaced in one step, so that a reader finds the old one or the new one. LinkError
-    where it cannot be written.
-    """
+    """Write a document; `heading` stands first as comments. ConfigError where it cannot be."""
     comments = "".join(f"# {line}\n" for line in heading.splitlines())
-    text = comments + "\n".join(_lines(document, ())) + "\n"
-    write_atomically(path, text.encode())
+    write_whole(path, (comments + text_of(document)).encode())
 
 
-def write_atomically(path: Path, content: bytes) -> None:
-    """Put `content` in the place of what `path` holds, in one step; LinkError where it cannot."""
+def write_whole(path: Path, content: bytes) -> None:
+    """Put `content` in the place of what `path` holds; ConfigError where that cannot be.
+
+    It is written beside `path`, forced to the disk, and then put in its place, so that no reader
+    ever finds half a file.
+    """
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
         try:
             with os.fdopen(handle, "wb") as file:
                 file.write(content)
-            # mkstemp's files are private; what the user asked for is as readable as any other.
+                file.flush()
+                os.fsync(file.fileno())
+            # A temporary file is its owner's alone; a calibration is read by the daemon's user.
             Path(name).chmod(0o644)
-            Path(name).replace(path)
-        except OSError:
+            os.replace(name, path)
+        except BaseException:
             Path(name).unlink(missing_ok=True)
             raise
+        _sync_folder(path.parent)
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise LinkError(f"{path}: {reason}; give a file in a folder that can be written") from None
+        raise ConfigError(
+            f"{path}: cannot be written: {error.strerror or error}; give a place that can be"
+        ) from None
+
+
+def _sync_folder(folder: Path) -> None:
+    """Force the new name to the disk too."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def text_of(document: Mapping[str, Any]) -> str:
+    """Return nested tables of numbers, texts and lists as TOML; what is None is left out.
+
+    Numbers are written with all their digits: a round trip is exact.
+    """
+    return "\n".join(_lines(document, ())).lstrip("\n") + "\n"
 
 
 def _lines(table: Mapping[str, Any], place: tuple[str, ...]) -> Iterator[str]:
@@ -73,14 +92,15 @@ def _lines(table: Mapping[str, Any], place: tuple[str, ...]) -> Iterator[str]:
     inner = {key: value for key, value in table.items() if _is_table(value)}
     for key, value in table.items():
         if key not in inner and value is not None:
-            yield f"{key} = {_value(value)}"
+            yield f"{_key(key)} = {_value(value, rows=True)}"
     for key, value in inner.items():
-        name = ".".join((*place, key))
+        below = (*place, _key(key))
+        name = ".".join(below)
         if isinstance(value, Mapping):
-            yield from ("", f"[{name}]", *_lines(value, (*place, key)))
+            yield from ("", f"[{name}]", *_lines(value, below))
             continue
         for one in value:
-            yield from ("", f"[[{name}]]", *_lines(one, (*place, key)))
+            yield from ("", f"[[{name}]]", *_lines(one, below))
 
 
 def _is_table(value: Any) -> bool:
@@ -89,12 +109,26 @@ def _is_table(value: Any) -> bool:
     return isinstance(value, list | tuple) and len(value) > 0 and isinstance(value[0], Mapping)
 
 
-def _value(value: Any) -> str:
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_value(one) for one in value) + "]"
+def _value(value: Any, rows: bool = False) -> str:
+    """Write a value of TOML; with `rows` long lists one item a line."""
     if isinstance(value, bool):
         return "true" if value else "false"
-    if isinstance(value, float):
-        return repr(value) if math.isfinite(value) else str(value)
-    # A basic string of TOML is a string of JSON.
-    return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, str):
+        return _text(value)
+    if isinstance(value, list | tuple):
+        items = [_value(item) for item in value]
+        line = f"[{', '.join(items)}]"
+        if rows and len(line) > _LONGEST_LINE and isinstance(value[0], list | tuple | str):
+            return "[\n" + "".join(f"    {item},\n" for item in items) + "]"
+        return line
+    return repr(value)
+
+
+def _text(text: str) -> str:
+    """Write a basic string; TOML's escapes are JSON's, but for the delete character."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _key(key: str) -> str:
+    is_bare = key.isascii() and key.replace("_", "").replace("-", "").isalnum()
+    return key if is_bare else _text(key)

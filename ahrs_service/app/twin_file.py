@@ -109,7 +109,7 @@ def write(
 ) -> None:
     """Write a twin, whole or not at all; `sigmas` are 1-sigma by effect id and parameter.
 
-    LinkError where it cannot be written.
+    ConfigError where it cannot be.
     """
     document: dict[str, Any] = {"source": source}
     for field in ("calibration", "gyro_noise", "accel_noise", "propeller"):

@@ -217,6 +217,23 @@ def test_the_calibration_written_takes_the_mismatch_away(written):
     assert np.abs(k_after).max() < 2e-4
 
 
+def test_what_the_real_recording_has_and_the_simulated_lacks_is_said(tmp_path, capsys):
+    """Two flights of one sensor with noise, one of them with a scale error of 1 % too."""
+    sensor = "[gyro_noise]\ndensity = 1e-4\n[accel_noise]\ndensity = 1e-3\n"
+    scale = '[[effects]]\nid = "gyro_scale_factor"\nscale_error = [0.012, -0.010, 0.015]\n'
+    for name, twin in (("sim", sensor), ("real", sensor + scale)):
+        (tmp_path / f"{name}.toml").write_text(twin)
+        flight = ["simulate", "--twin", str(tmp_path / f"{name}.toml"), "--seconds", "50"]
+        assert main([*flight, "--tlog", str(tmp_path / f"{name}.tlog")]) == 0
+    report = tmp_path / "report.json"
+    files = ["--against", str(tmp_path / "sim.tlog"), "--json", str(report)]
+    assert main(["diagnose", str(tmp_path / "real.tlog"), *files]) == 0
+    against = json.loads(report.read_text())["against"]
+    assert against["lacks"] == ["gyro_scale_factor"]
+    said = capsys.readouterr().out.split("What sim.tlog lacks:")[1]
+    assert "gyro: scale factor error (gyro_scale_factor)" in said
+
+
 @pytest.mark.parametrize(
     ("name", "words"),
     [("missing.tlog", "no such file"), ("notes.txt", "is no log format")],

@@ -18,7 +18,7 @@ _FRD_FROM_FLU = np.array([1.0, -1.0, -1.0])
 _HALF = np.sqrt(0.5)
 _NED_FROM_ENU = np.array([0.0, _HALF, _HALF, 0.0])
 _FLU_FROM_FRD = np.array([0.0, 1.0, 0.0, 0.0])
-_EVERY = 3
+_EVERY = 6
 
 GYRO_LSB_RAD_S = np.radians(1.0 / 16.4)
 """MPU-6000 at +-2000 deg/s: 16.4 counts per deg/s."""
@@ -30,8 +30,8 @@ _COUNTS = 32767
 def broad_trial(path: Path) -> Recorded:
     """Return one BROAD trial, the optical system as its reference, in body axes FRD and NED.
 
-    The reference is taken at a third of the IMU's rate; its velocity is that of a smoothing spline
-    through the positions of the markers.
+    The reference is taken at a sixth of the IMU's rate, 48 Hz, as autopilots tell theirs; its
+    velocity is that of a smoothing spline through the positions of the markers.
     """
     with np.load(path) as trial:
         rate_hz = float(trial["sampling_rate"])

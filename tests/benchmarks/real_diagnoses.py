@@ -1,14 +1,10 @@
-"""What `diagnose` answers on real recordings: as they are, in halves, with an effect planted.
+"""What `diagnose` answers on real recordings, whole and in halves.
 
-Run: python tests/benchmarks/real_diagnoses.py [--data DIR] [--only WORD] [--planted] [--json OUT]
+Run: python tests/benchmarks/real_diagnoses.py [--data DIR] [--only WORD] [--json OUT]
 
 As they are: each recording whole, and its halves apart; a finding that only one half shows is no
-finding. tests/benchmarks/real_mismatches.py says, without the diagnosis, what is to be found.
-
-Planted: one effect is put into the raw readings of the same recordings (added, quantised to whole
-counts of an MPU-6000, clipped), and the answer is that of the planted recording beside that of the
-untouched one. A planted effect counts as found where its id, or one of its class, is named in
-the planted recording; "value" is what was found less what the untouched recording showed of it.
+finding. tests/benchmarks/real_mismatches.py says, without the diagnosis, what is to be found;
+tests/benchmarks/real_planted.py plants effects.
 """
 
 import argparse
@@ -20,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from peers import SHARED_DATA, require_data
-from real_data import broad_trial, part, planted
+from real_data import broad_trial, part
 from rich.console import Console
 from rich.table import Table
 
@@ -29,7 +25,6 @@ from ahrs_service.app.recorded_columns import with_velocity
 from ahrs_service.diagnosis.diagnose import diagnose
 from ahrs_service.diagnosis.recorded import Recorded
 from ahrs_service.diagnosis.result import Diagnosis
-from ahrs_service.effects.catalogue import effect_of
 
 FLIGHTS = (
     "px4_auavx2_quad_250hz.ulg",
@@ -43,13 +38,6 @@ FLIGHTS = (
     "bench_cuav_2021-12-08_static_warmup_2hz.tlog",
 )
 TRIALS = ("06", "09", "16", "27")
-PLANTED: tuple[tuple[str, dict[str, Any]], ...] = (
-    ("imu_time_offset", {"offset_s": 0.015}),
-    ("gyro_scale_factor", {"scale_error": [0.02, -0.015, 0.02]}),
-    ("accel_lever_arm", {"arm_m": [0.06, -0.05, 0.04]}),
-    ("gyro_g_sensitivity", {"matrix_rad_s_per_m_s2": (0.001 * np.eye(3)).tolist()}),
-)
-PLANTED_IN = ("06", "09")
 SHARES = {"whole": (0.0, 1.0), "first half": (0.0, 0.5), "second half": (0.5, 1.0)}
 
 
@@ -112,18 +100,6 @@ def _loaded(path: Path) -> Recorded:
         return loaded.columns
 
 
-def planted_answers(folder: Path, word: str) -> Iterator[Answer]:
-    """Yield the answers with one effect planted at a time."""
-    for path in sorted((folder / "broad").glob("*.npz")):
-        if path.stem[:2] not in PLANTED_IN or word not in f"broad {path.stem}":
-            continue
-        recorded = broad_trial(path)
-        for identifier, values in PLANTED:
-            effect = effect_of(identifier)
-            felt = planted(recorded, effect, effect.checked(values))
-            yield answer(f"broad {path.stem}", f"planted {identifier} {values}", felt)
-
-
 def row(one: Answer) -> tuple[str, ...]:
     """Return the cells of an answer."""
     values = "; ".join(
@@ -139,7 +115,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=SHARED_DATA)
     parser.add_argument("--only", default="", metavar="WORD")
-    parser.add_argument("--planted", action="store_true")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     folder = require_data(arguments.data, "the folders flights and broad")
@@ -152,13 +127,9 @@ def main() -> None:
         if arguments.json is not None:
             arguments.json.write_text(json.dumps([asdict(a) for a in answers], indent=1))
 
-    if arguments.planted:
-        for one in planted_answers(folder, arguments.only):
-            told(one)
-    else:
-        for name, recorded in recordings(folder, arguments.only):
-            for piece, share in SHARES.items():
-                told(answer(name, piece, part(recorded, *share)))
+    for name, recorded in recordings(folder, arguments.only):
+        for piece, share in SHARES.items():
+            told(answer(name, piece, part(recorded, *share)))
     table = Table(title="what diagnose answers", title_justify="left")
     for column in ("recording", "piece", "verdict", "named", "values", "unexplained"):
         table.add_column(column, overflow="fold")
