@@ -18,6 +18,7 @@ from ahrs_service.diagnosis.motion import (
     covariates,
     density,
     ends,
+    moving,
     scatter,
     slow_motion,
     witnessed,
@@ -42,6 +43,9 @@ _UNKNOWN_ANGLE: Final = 1.0
 _UNKNOWN_SPEED: Final = 100.0
 _SIZES: Final = 50.0
 _WANDERS: Final = 1000.0
+_LONGEST_ERROR: Final = float(np.log(60.0))
+"""An INS takes its tilt and velocity back to what it observes within tens of seconds; what stays
+longer is no error of its that comes and goes."""
 _TIMES: Final = 30.0
 _GYRO, _ACCEL = slice(0, 3), slice(3, 6)
 _USUAL_DENSITIES: Final = (7e-5, 1e-3)
@@ -105,10 +109,11 @@ class FlightResidual:
         rate, force = slow[:, :3], slow[:, 3:]
         self._densities = [density(imu_s, readings[:, part]) for part in (_GYRO, _ACCEL)]
         bias = self._mean_bias(increments, away)
-        self.columns = covariates(recorded, grid_s, rate - bias[:3], force - bias[3:], q)
-        shaking = self.columns.vibration_m_s2
+        read = covariates(recorded, grid_s, rate - bias[:3], force - bias[3:], q)
+        shaking = read.vibration_m_s2
         self._vibration = self._windows(np.where(np.isfinite(shaking), shaking, 0.0))
-        self.witnessed = witnessed(reference, self.columns)
+        self.witnessed = witnessed(reference, read)
+        self.columns = moving(read, self.witnessed)
         self.body = self._in_body(increments)
 
     def _misfit(self, reference: Reference, turned: Floats, gathered: Floats) -> Floats:
@@ -195,7 +200,7 @@ class FlightResidual:
             if name.endswith("wander_s"):
                 bounds.append(_SLOW)
                 continue
-            bounds.append((value - span, value + span))
+            bounds.append((value - span, _LONGEST_ERROR if is_time else value + span))
         return bounds
 
     def _earth_axes(self) -> Floats:

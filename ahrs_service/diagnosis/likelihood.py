@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.diagnosis.residual import Grams, Noise, Residual
+from ahrs_service.diagnosis.residual import Noise, Residual
 from ahrs_service.records import Floats
 
 _RIDGE: Final = 1e-10
@@ -52,14 +52,14 @@ def solve(gram: Floats, target: Floats) -> tuple[Floats, Floats, float]:
     )
 
 
-def fit(residual: Residual, noise: Noise, regressors: Floats, target: Floats) -> Fit:
-    """Fit `regressors` [N, 6, K] to `target` [N, 6] under `noise`."""
+def fit(residual: Residual, noise: Noise, regressors: Floats, target: Floats, prior: Floats) -> Fit:
+    """Fit `regressors` [N, 6, K] to `target` [N, 6] under `noise`.
+
+    `prior` [K+1, K+1] is what is known beforehand, as a Gram matrix of rows (coefficient, target).
+    """
     rows = np.concatenate([regressors, target[:, :, None]], axis=2)
-    return _fit(residual.grams(rows), noise)
-
-
-def _fit(grams: Grams, noise: Noise) -> Fit:
-    return _solved(noise, *grams(noise))
+    gram, log_det = residual.grams(rows)(noise)
+    return _solved(noise, gram + prior, log_det)
 
 
 def _solved(noise: Noise, gram: Floats, log_det: float) -> Fit:
@@ -72,15 +72,16 @@ def _solved(noise: Noise, gram: Floats, log_det: float) -> Fit:
 class _Score:
     """Restricted likelihood of a noise with its slope and Fisher information."""
 
-    def __init__(self, residual: Residual, rows: Floats) -> None:
+    def __init__(self, residual: Residual, rows: Floats, prior: Floats) -> None:
         self._residual, self._rows = residual, np.ascontiguousarray(rows)
+        self._prior = prior
         self._centre = residual.first_noise()
 
     def cost(self, noise: Noise) -> tuple[float, Fit, Floats, Floats]:
         """Return minus the log posterior, the fit, whitened rows, log variances."""
         white, log_variance = self._residual.whiten(noise, self._rows)
         flat = white.reshape(-1, white.shape[2])
-        found = _solved(noise, flat.T @ flat, float(log_variance.sum()))
+        found = _solved(noise, flat.T @ flat + self._prior, float(log_variance.sum()))
         apart = (noise - self._centre) / _PRIOR_SIGMA
         return 0.5 * float(apart @ apart) - found.restricted, found, flat, log_variance.ravel()
 
@@ -106,7 +107,12 @@ class _Score:
 
 
 def fit_noise(
-    residual: Residual, regressors: Floats, target: Floats, start: Noise, turns: int = 25
+    residual: Residual,
+    regressors: Floats,
+    target: Floats,
+    prior: Floats,
+    start: Noise,
+    turns: int = 25,
 ) -> Noise:
     """Return the noise of highest restricted likelihood with `regressors` [N, 6, K] in the model.
 
@@ -114,7 +120,7 @@ def fit_noise(
     parameters, under a weak prior: each within a factor of e^2 of its first guess. A restricted
     likelihood does not take the regressors' freedom for a smaller noise (Harville 1977).
     """
-    score = _Score(residual, np.concatenate([regressors, target[:, :, None]], axis=2))
+    score = _Score(residual, np.concatenate([regressors, target[:, :, None]], axis=2), prior)
     low, high = np.array(residual.noise_bounds()).T
     noise = np.clip(start, low, high)
     damping = 0.0

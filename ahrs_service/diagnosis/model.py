@@ -11,6 +11,12 @@ from ahrs_service.diagnosis.residual import Noise, Residual, bias_rows
 from ahrs_service.effects.base import Addition, Columns, Effect, Parameter
 from ahrs_service.records import Floats
 
+SIZES: Final = 2.0
+"""Sigma of a number beforehand, in sizes of data sheets: three of these are no longer believed.
+
+Of all magnitudes that were planted into test recordings, on purpose too large some, the largest
+was 4.0 of the sizes."""
+
 _TURNS: Final = 6
 _SETTLED_SIGMA: Final = 0.05
 _RELATIVE_STEP: Final = 1e-3
@@ -27,7 +33,7 @@ class Model:
     `unknown` names of smooth dependences whose rows are `unknown_rows` [N, 6, U];
     `log_likelihood` at its maximum; `covariance` [P, P] of the terms' free numbers in the order
     of `free_numbers`; `misfit` [N, 6] the rows minus what the terms add, `base` [N, 6, B] bias,
-    unknown and the terms' derivatives.
+    unknown and the terms' derivatives, `prior` [B+1, B+1] of their coefficients (see `_prior`).
     """
 
     terms: tuple[Term, ...]
@@ -38,6 +44,7 @@ class Model:
     covariance: Floats
     misfit: Floats
     base: Floats
+    prior: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,6 +168,22 @@ def _base(residual: Residual, terms: tuple[Term, ...], unknown_rows: Floats) -> 
     return np.concatenate([bias_rows(residual), unknown_rows, own], axis=2)
 
 
+def _prior(terms: tuple[Term, ...], numbers: list[Number], count: int) -> Floats:
+    """Return the prior [count+1, count+1] of a base whose last columns are the `numbers`.
+
+    Each number that enters linearly is Gaussian about nil, its sigma SIZES of the largest that
+    data sheets give: what the data do not tell stays small, and what they tell is left alone.
+    """
+    prior = np.zeros((count + 1, count + 1))
+    first = count - len(numbers)
+    for place, number in enumerate(numbers, start=first):
+        if not number.is_form:
+            value = float(terms[number.term].values[number.parameter.name][number.index])
+            row = np.array([1.0, -value]) / (SIZES * number.parameter.plausible)
+            prior[np.ix_([place, count], [place, count])] += np.outer(row, row)
+    return prior
+
+
 def settle(
     residual: Residual,
     terms: tuple[Term, ...],
@@ -178,16 +201,26 @@ def settle(
     for _ in range(_TURNS):
         misfit = residual.rows - added_rows(residual, terms)
         base = _base(residual, terms, unknown_rows)
-        here = fit(residual, noise, base, misfit)
+        prior = _prior(terms, numbers, base.shape[2])
+        here = fit(residual, noise, base, misfit, prior)
         first = base.shape[2] - len(numbers)
         # The step is linear, so the likelihood that counts is that of the numbers as they are.
-        held = fit(residual, noise, base[:, :, :first], misfit)
+        kept = np.append(np.arange(first), base.shape[2])
+        held = fit(residual, noise, base[:, :, :first], misfit, prior[np.ix_(kept, kept)])
         covariance = here.covariance[first:, first:]
         if best is None or held.log_likelihood > best.log_likelihood:
             start, change = terms, here.coefficients[first:]
             gained = np.inf if best is None else held.log_likelihood - best.log_likelihood
             best = Model(
-                terms, unknown, unknown_rows, noise, held.log_likelihood, covariance, misfit, base
+                terms,
+                unknown,
+                unknown_rows,
+                noise,
+                held.log_likelihood,
+                covariance,
+                misfit,
+                base,
+                prior,
             )
             shares = 1.0
             if not numbers or gained < 1e-3:
@@ -205,7 +238,9 @@ def settle(
 def refit(residual: Residual, model: Model, turns: int = 2) -> Model:
     """Fit numbers and noise in turn."""
     for _ in range(turns):
-        noise = fit_noise(residual, model.base, model.misfit, model.noise, _REFIT_TURNS)
+        noise = fit_noise(
+            residual, model.base, model.misfit, model.prior, model.noise, _REFIT_TURNS
+        )
         before = model.log_likelihood
         model = settle(residual, model.terms, noise, model.unknown, model.unknown_rows)
         if model.log_likelihood - before < 0.3:
@@ -217,15 +252,26 @@ def bare(residual: Residual) -> Model:
     """Return the model without any effect, with the noise that this asks for."""
     noise = residual.first_noise()
     base = bias_rows(residual)
+    prior = np.zeros((base.shape[2] + 1, base.shape[2] + 1))
     for _ in range(2):
-        choose(residual, noise, base, residual.rows)
-        noise = fit_noise(residual, base, residual.rows, noise)
+        choose(residual, noise, base, residual.rows, prior)
+        noise = fit_noise(residual, base, residual.rows, prior, noise)
     return settle(residual, (), noise)
 
 
-def choose(residual: Residual, noise: Noise, base: Floats, rows: Floats) -> None:
+def is_plausible(model: Model) -> bool:
+    """Whether all numbers of all terms may be of a size that an IMU can have."""
+    for number, variance in zip(free_numbers(model.terms), np.diag(model.covariance), strict=True):
+        value = model.terms[number.term].values[number.parameter.name][number.index]
+        least = abs(float(value)) - 2.0 * np.sqrt(max(float(variance), 0.0))
+        if not number.is_form and least > 3.0 * SIZES * number.parameter.plausible:
+            return False
+    return True
+
+
+def choose(residual: Residual, noise: Noise, base: Floats, rows: Floats, prior: Floats) -> None:
     """Settle between the forms of the noise that a residual knows."""
-    residual.choose(lambda: fit(residual, noise, base, rows).log_likelihood)
+    residual.choose(lambda: fit(residual, noise, base, rows, prior).log_likelihood)
 
 
 def gain_between(residual: Residual, shorter: Model, longer: Model) -> float:
@@ -234,6 +280,8 @@ def gain_between(residual: Residual, shorter: Model, longer: Model) -> float:
     Each noise was fitted by restricted likelihood, which is not where the likelihood itself is
     highest: both models are given the better of both noises.
     """
-    short = fit(residual, longer.noise, shorter.base, shorter.misfit).log_likelihood
-    long = fit(residual, shorter.noise, longer.base, longer.misfit).log_likelihood
+    short, long = (
+        fit(residual, noise, model.base, model.misfit, model.prior).log_likelihood
+        for model, noise in ((shorter, longer.noise), (longer, shorter.noise))
+    )
     return max(longer.log_likelihood, long) - max(shorter.log_likelihood, short)

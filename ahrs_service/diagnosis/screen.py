@@ -9,6 +9,7 @@ from scipy.stats import chi2
 
 from ahrs_service.diagnosis.library import Candidate, Library, linear_entries
 from ahrs_service.diagnosis.likelihood import solve
+from ahrs_service.diagnosis.model import SIZES
 from ahrs_service.diagnosis.residual import Noise, Residual
 from ahrs_service.records import Floats
 
@@ -63,7 +64,11 @@ def gain_of(candidate: Candidate, gram: Floats, target: Floats, share: Floats) -
     kept = np.flatnonzero(share[place] > _OWN_SHARE) + place.start
     if not len(kept):
         return 0.0
-    solution, _, _ = solve(gram[np.ix_(kept, kept)], target[kept])
+    own = gram[np.ix_(kept, kept)]
+    if candidate.effect is not None:
+        sizes = np.array([SIZES * p.plausible for p, _ in linear_entries(candidate.effect)])
+        own = own + np.diag(sizes[kept - place.start] ** -2.0)
+    solution, _, _ = solve(own, target[kept])
     return 0.5 * float(solution @ target[kept])
 
 

@@ -18,6 +18,7 @@ from ahrs_service.diagnosis.model import (
     choose,
     free_numbers,
     gain_between,
+    is_plausible,
     refit,
     settle,
 )
@@ -144,12 +145,13 @@ def best_step(residual: Residual, library: Library, model: Model, least: float) 
         steps = [extend(residual, library, model, c, has_noise=False) for c, _ in ranking]
         top = max(step.surprise for step in steps)
         close = sorted(steps, key=lambda step: -step.surprise)[:3]
+        close = [step for step in close if step.surprise >= _CLOSE * top]
         fitted = [
-            _step(residual, model, step.candidate, refit(residual, step.model))
-            for step in close
-            if step.surprise >= _CLOSE * top
+            _step(residual, model, step.candidate, refit(residual, step.model)) for step in close
         ]
-        best = max(fitted, key=lambda step: step.surprise)
+        fitted = [step for step in fitted if is_plausible(step.model)]
+        best = max(fitted, key=lambda step: step.surprise, default=None)
+    if best is not None:
         held = {step.candidate.name: step.surprise for step in steps}[best.candidate.name]
         if held < least and best.surprise < least + _FREED:
             best = None
@@ -195,7 +197,7 @@ def search(residual: Residual, library: Library, progress: Progress | None = Non
             break
         main = max(main, step.gain)
         model = step.model
-        choose(residual, model.noise, model.base, model.misfit)
+        choose(residual, model.noise, model.base, model.misfit, model.prior)
         if step.candidate.effect is None:
             unknown[step.candidate.name] = step.surprise
             unknowns.append(step)
@@ -310,7 +312,8 @@ def _alike(
             other = extend(residual, library, shorter, candidate, has_noise=True)
         if rival is None or other.gain > rival[1]:
             rival = (candidate.name, other.gain)
-        if other.surprise > step.surprise - ALIKE:
+        # Chance prefers the one with fewer numbers; the data do not, where both fit as well.
+        if max(other.surprise - step.surprise, other.gain - step.gain) > -ALIKE:
             same.append((other.surprise, candidate.name))
     same.sort(reverse=True)
     return (name, *(identifier for _, identifier in same)), rival

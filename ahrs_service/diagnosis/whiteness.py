@@ -17,7 +17,7 @@ _GLITCH_SIGMA: Final = 5.0
 
 def innovations(residual: Residual, model: Model) -> Floats:
     """Return the whitened innovations [N, 6] of a model, rows without reference left out."""
-    found = fit(residual, model.noise, model.base, model.misfit)
+    found = fit(residual, model.noise, model.base, model.misfit, model.prior)
     rows = np.concatenate([model.base, model.misfit[:, :, None]], axis=2)
     white, _ = residual.whiten(model.noise, rows)
     left = white[:, :, -1] - white[:, :, :-1] @ found.coefficients
