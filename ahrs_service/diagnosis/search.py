@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from ahrs_service.diagnosis.holdout import held_out
 from ahrs_service.diagnosis.library import Candidate, Library, Term, limits
 from ahrs_service.diagnosis.model import (
     Model,
@@ -206,6 +207,7 @@ def search(residual: Residual, library: Library, progress: Progress | None = Non
             model, taken = _swap(residual, library, model, taken)
         tell(0.25 + 0.1 * (turn + 1))
     model, taken, unknown = _pruned(residual, model, taken, unknown)
+    model, taken = _confirmed(residual, model, taken)
     tell(0.8)
     steps, alike, rivals = [], [], []
     for place, step in enumerate(taken):
@@ -282,6 +284,19 @@ def _pruned(
         else:
             place += 1
     return model, taken, unknown
+
+
+def _confirmed(residual: Residual, model: Model, taken: list[Step]) -> tuple[Model, list[Step]]:
+    """Leave out every further effect by which blocks that it was not fitted to get worse."""
+    place = 1
+    while place < len(taken):
+        shorter = _without(residual, model, place)
+        triad = model.terms[place].effect.triad
+        if held_out(residual, shorter, model, triad).log_likelihood_gain < 0.0:
+            model, taken = shorter, taken[:place] + taken[place + 1 :]
+        else:
+            place += 1
+    return model, taken
 
 
 def _columns_of(model: Model, name: str) -> int:
