@@ -44,7 +44,9 @@ def solve(gram: Floats, target: Floats) -> tuple[Floats, Floats, float]:
     scaled = gram * scale[:, None] * scale[None, :]
     scaled[np.diag_indices_from(scaled)] = np.where(lives, 1.0 + _RIDGE, 1.0)
     inverse = np.asarray(np.linalg.inv(scaled), np.float64) * scale[:, None] * scale[None, :]
-    _, log_det = np.linalg.slogdet(scaled)
+    # A step too far leaves no numbers; its likelihood, NaN, is then above no other.
+    with np.errstate(invalid="ignore"):
+        _, log_det = np.linalg.slogdet(scaled)
     return (
         np.asarray(inverse @ target),
         np.asarray(inverse),
