@@ -105,7 +105,7 @@ def diagnose_file(path: Path, twin: Imu, errors: Console) -> Diagnosis:
         try:
             columns = compensated(with_velocity(loaded), twin.calibration)
             columns = without_effects(columns, twin.effects)
-            diagnosis = diagnose(columns, (), lambda share: advance("searching", share))
+            diagnosis = diagnose(columns, lambda share: advance("searching", share))
         except ValueError as error:
             raise RecordingError(f"{path}: {error}") from None
     return dataclasses.replace(diagnosis, notes=(*loaded.notes, *diagnosis.notes))

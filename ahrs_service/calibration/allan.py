@@ -175,8 +175,3 @@ def random_walk_at(curve: AllanDeviation, tau_s: float = 1.0) -> float:
     """Return N as it is read off a data sheet's curve: the deviation at `tau_s`, times its root."""
     near = int(np.argmin(np.abs(np.log(curve.tau_s / tau_s))))
     return float(curve.deviation[near] * math.sqrt(curve.tau_s[near]))
-
-
-def lowest_bias_instability(curve: AllanDeviation) -> float:
-    """Return B as data sheets give it: the lowest point of the curve, over 0.664."""
-    return float(curve.deviation.min() / _FLOOR)

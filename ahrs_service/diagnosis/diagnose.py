@@ -11,7 +11,7 @@ from ahrs_service.diagnosis.flight import FlightResidual, is_flight
 from ahrs_service.diagnosis.holdout import free_run, held_out
 from ahrs_service.diagnosis.library import Library, Term, library_of
 from ahrs_service.diagnosis.locate import against_covariates, where_it_acts
-from ahrs_service.diagnosis.model import Model, Number, added_body, added_rows, free_numbers
+from ahrs_service.diagnosis.model import Model, Number, added_body, free_numbers
 from ahrs_service.diagnosis.recorded import Recorded
 from ahrs_service.diagnosis.reference import reference_of
 from ahrs_service.diagnosis.residual import CHANNELS, Residual
@@ -36,29 +36,22 @@ _COMPARED, _PROJECTED, _SEARCH, _JUDGED = 0.06, 0.24, 0.56, 0.85
 """Shares of the whole time: compared, responses projected, the search's own, findings judged."""
 
 
-def compare(recorded: Recorded, twin: tuple[Term, ...] = ()) -> Residual:
+def compare(recorded: Recorded) -> Residual:
     """Return the misfit of a recording and its reference; ValueError says what is missing."""
     reference = reference_of(recorded)
-    residual: Residual
     if is_flight(reference):
-        residual = FlightResidual(recorded, reference)
-    else:
-        residual = BenchResidual(recorded, reference)
-    body = residual.body - added_body(residual, twin)
-    residual.rows = residual.rows - added_rows(residual, twin)
-    residual.body = body
-    return residual
+        return FlightResidual(recorded, reference)
+    return BenchResidual(recorded, reference)
 
 
-def diagnose(
-    recorded: Recorded, twin: tuple[Term, ...] = (), progress: Progress | None = None
-) -> Diagnosis:
-    """Locate and name what makes a recording differ from its twin.
+def diagnose(recorded: Recorded, progress: Progress | None = None) -> Diagnosis:
+    """Locate and name what makes a recording differ from an ideal IMU.
 
-    `twin` the effects that are already known; `progress` is called with the share done, 0 to 1.
+    What a twin knows is taken out of the readings before (diagnosis.known). `progress` is called
+    with the share done, 0 to 1.
     """
     tell = progress or (lambda share: None)
-    residual = compare(recorded, twin)
+    residual = compare(recorded)
     tell(_COMPARED)
     library = library_of(residual)
     tell(_PROJECTED)
