@@ -3,7 +3,7 @@
 Compared are angle and velocity gathered since the beginning, in earth axes, because there the
 reference's errors are stationary: first-order Gauss-Markov plus white. Its attitude error e also
 tilts the specific force and so enters the velocity as e x f. Noise, wander and effects of the IMU
-are integrated with the attitude (diagnosis.kalman.whiten_flight).
+are integrated with the attitude (diagnosis.flight_filter).
 """
 
 from collections.abc import Callable, Sequence
@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from ahrs_service.diagnosis.kalman import whiten_flight
+from ahrs_service.diagnosis.flight_filter import STATES, flight_gains, whiten_flight
 from ahrs_service.diagnosis.motion import (
     GRAVITY_NED,
     covariates,
@@ -49,10 +49,15 @@ longer is no error of its that comes and goes."""
 _TIMES: Final = 30.0
 _GYRO, _ACCEL = slice(0, 3), slice(3, 6)
 _USUAL_DENSITIES: Final = (7e-5, 1e-3)
+_FILTERS_KEPT: Final = 3
+"""Gains of the last noises, 9 MB each: the same noise is asked for many times in turn."""
 _MEASURED: Final = float(np.log(1.3))
 """The density is read off the IMU's spectrum; the reference's error would hide it."""
 _SLOW: Final = (float(np.log(15.0)), float(np.log(3000.0)))
 """Wander is slow: what comes and goes within seconds is motion, and to be explained by it."""
+
+_Path = tuple[Floats, Floats, Floats, Floats, Floats]
+_Filter = tuple[tuple[*_Path, Floats, Floats, Floats, Floats], Floats]
 
 
 class FlightResidual:
@@ -101,6 +106,7 @@ class FlightResidual:
         self._begins[1:] = np.maximum(self._begins[1:], self.missing[:-1])
         self._turn, self._tilt, self._path = self._paths(gathered)
         self._is_error_in_body = True
+        self._filters: dict[tuple[bytes, bool], _Filter] = {}
         imu_s, readings = recorded.imu_time_s, np.hstack([recorded.gyro_rad_s, recorded.accel_m_s2])
         slow = slow_motion(imu_s, readings, grid_s)
         self.largest = np.abs(slow).max(axis=0)
@@ -231,6 +237,18 @@ class FlightResidual:
 
     def whiten(self, noise: Noise, rows: Floats) -> tuple[Floats, Floats]:
         """Return `rows` [N, 6, K] whitened, and the log variances [N, 6] of the innovations."""
+        key = noise.tobytes(), self._is_error_in_body
+        if key not in self._filters:
+            while len(self._filters) >= _FILTERS_KEPT:
+                del self._filters[next(iter(self._filters))]
+            self._filters[key] = self._filter(noise)
+        filtering, log_variance = self._filters[key]
+        out = np.empty(rows.shape)
+        whiten_flight(np.ascontiguousarray(rows), *filtering, out)
+        return out, log_variance
+
+    def _filter(self, noise: Noise) -> _Filter:
+        """Return path, steps and gains as `whiten_flight` takes them, and the log variances."""
         e, e_s, e_white, g, b, b_s, v, v_s, v_white, a, c, c_s, turned, shaken = np.exp(noise)
         step = self._step_s
         keep = np.exp(-step / np.array([e_s, b_s, v_s, c_s]))
@@ -240,27 +258,24 @@ class FlightResidual:
         # The mean over a window of what wanders at random: its increments are correlated by +1/4,
         # which is a white noise of negative variance (Working 1960).
         mean_of_walk = (1.0 - 1.0 / self._window**2) / 6.0
-        white = np.empty((len(rows), 2))
-        white[:, 0] = e_white**2 + (turned * self._vibration) ** 2
-        white[:, 1] = v_white**2 + (shaken * self._vibration) ** 2
-        white -= mean_of_walk * np.array([drive[0] + drive[1], drive[3] + drive[4]])
-        out, log_variance = np.empty(rows.shape), np.empty(rows.shape[:2])
-        whiten_flight(
-            np.ascontiguousarray(rows),
+        white = np.empty((len(self.rows), 6))
+        white[:, :3] = (e_white**2 + (turned * self._vibration) ** 2)[:, None]
+        white[:, 3:] = (v_white**2 + (shaken * self._vibration) ** 2)[:, None]
+        white -= mean_of_walk * np.repeat([drive[0] + drive[1], drive[3] + drive[4]], 3)
+        count = len(self.rows)
+        steps = np.full(count, step), np.tile(keep, (count, 1))
+        path = (
             self._turn,
             self._tilt @ self._turn if self._is_error_in_body else self._tilt,
             self._path if self._is_error_in_body else self._earth_axes(),
             self._begins,
             self.missing,
-            step,
-            keep,
-            drive,
-            start,
-            white,
-            out,
-            log_variance,
         )
-        return out, log_variance
+        gains, roots = np.empty((count, STATES, 6)), np.empty((count, 6, 6))
+        variances = np.empty((count, 6))
+        drives = np.tile(drive, (count, 1))
+        flight_gains(*path, *steps, drives, start, white, gains, roots, variances)
+        return (*path, *steps, gains, roots), np.log(variances)
 
 
 def is_flight(reference: Reference) -> bool:
