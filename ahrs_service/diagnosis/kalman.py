@@ -105,7 +105,7 @@ def whiten_flight(
     frame: Floats,
     begins: Floats,
     missing: Floats,
-    step_s: float,
+    step_s: Floats,
     keep: Floats,
     drive: Floats,
     start: Floats,
@@ -122,8 +122,9 @@ def whiten_flight(
         velocity = J - v + white    dJ/dt = R c + e x f + white
 
     `turn` [N, 3, 3] R and `tilt` [N, 3, 3] the integral of -[f x], both of the step that ends at
-    the row. `keep` [4] of e, b, v, c; `drive`, `start` [6] variances added per step and at first,
-    of the six state vectors; `white` [N, 2] of the two measurements. Rows with `begins` not 0 start
+    the row, of length `step_s` [N]. `keep` [N, 4] of e, b, v, c; `drive` [N, 6], `start` [6]
+    variances added in the step and at first, of the six state vectors; `white` [N, 6] of the
+    measurements. Rows with `begins` not 0 start
     from unknown angle and velocity, rows with `missing` not 0 give no innovation. `log_variance`
     [N, 6] of the innovations, 0 where there is none.
     """
@@ -136,8 +137,8 @@ def whiten_flight(
             p[3 * part + i, 3 * part + i] = start[part]
     for n in range(count):
         if n > 0:
-            _propagate(p, turn[n], tilt[n], keep, drive, step_s)
-            _propagate_rows(mean, turn[n], tilt[n], keep, step_s)
+            _propagate(p, turn[n], tilt[n], keep[n], drive[n], step_s[n])
+            _propagate_rows(mean, turn[n], tilt[n], keep[n], step_s[n])
         if begins[n] != 0.0:
             _forget(p, mean, 3, start[1])
             _forget(p, mean, 12, start[4])
@@ -155,7 +156,7 @@ def whiten_flight(
                         gain[i] -= p[i, j] * frame[n, m, j]
                 else:
                     gain[i] -= p[i, error]
-            total = gain[whole] + white[n, m // 3]
+            total = gain[whole] + white[n, m]
             if m < 3:
                 for j in range(3):
                     total -= frame[n, m, j] * gain[j]
