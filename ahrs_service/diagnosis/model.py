@@ -238,14 +238,23 @@ def settle(
 def refit(residual: Residual, model: Model, turns: int = 2) -> Model:
     """Fit numbers and noise in turn."""
     for _ in range(turns):
-        noise = fit_noise(
-            residual, model.base, model.misfit, model.prior, model.noise, _REFIT_TURNS
-        )
+        start = _better_start(residual, model)
+        noise = fit_noise(residual, model.base, model.misfit, model.prior, start, _REFIT_TURNS)
         before = model.log_likelihood
         model = settle(residual, model.terms, noise, model.unknown, model.unknown_rows)
         if model.log_likelihood - before < 0.3:
             break
     return model
+
+
+def _better_start(residual: Residual, model: Model) -> Noise:
+    """Return the model's noise, or the first guess where that is now the likelier of both.
+
+    A large effect not yet in the model inflates its noise beyond the way back.
+    """
+    first = residual.first_noise()
+    afresh = fit(residual, first, model.base, model.misfit, model.prior)
+    return first if afresh.log_likelihood > model.log_likelihood else model.noise
 
 
 def bare(residual: Residual) -> Model:
