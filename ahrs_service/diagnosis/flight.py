@@ -12,7 +12,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from ahrs_service.diagnosis.gathered import gather
+from ahrs_service.diagnosis.gathered import Gathered, gather
+from ahrs_service.diagnosis.instants import Instants, instants_on
 from ahrs_service.diagnosis.kalman import whiten_flight
 from ahrs_service.diagnosis.motion import (
     GRAVITY_NED,
@@ -84,7 +85,8 @@ class FlightResidual:
         self._axes = np.ascontiguousarray(np.stack(axes, axis=2))
         self._fine_s = np.diff(path.time_s)
         increments = path.misfit
-        jumped = jumps(increments) | path.is_broken
+        judged = increments[:, :3] if len(path.velocity) else increments
+        jumped = jumps(judged) | path.is_broken
         away = jumped | excursions(grid_s, increments, jumped)
         increments[jumped] = 0.0
         self.rows = self._windows(_sum(increments))
@@ -94,6 +96,10 @@ class FlightResidual:
         self._begins = (self._windows(np.append(False, jumped).astype(float)) > 0.0).astype(float)
         # Whatever was gathered while the attitude was wrong is no longer known after it.
         self._begins[1:] = np.maximum(self._begins[1:], self.missing[:-1])
+        self._instants: Instants | None = None
+        self._unseen = np.stack([self.missing, self.missing], axis=1)
+        if len(path.velocity):
+            self._measure(path)
         self._turn, self._tilt, self._path = self._paths(path.speeds)
         self._is_error_in_body = True
         imu_s, readings = recorded.imu_time_s, np.hstack([recorded.gyro_rad_s, recorded.accel_m_s2])
@@ -110,6 +116,22 @@ class FlightResidual:
         self.witnessed = witnessed(reference, read)
         self.columns = moving(read, self.witnessed)
         self.body = self._in_body(reference, increments)
+
+    def _measure(self, path: Gathered) -> None:
+        """Put the misfit of a velocity that is told seldom into the rows nearest to its instants.
+
+        Drawn between its instants it would be smooth, and correlated with itself.
+        """
+        instants = instants_on(self.time_s, path.time_s, path.velocity.time_s)
+        increments = np.diff(path.velocity.values[instants.taken], axis=0)
+        jumped = jumps(increments)
+        increments[jumped] = 0.0
+        self.rows[:, _ACCEL] = instants.put(_sum(increments))
+        self._begins[instants.rows[1:][jumped]] = 1.0
+        seen = np.zeros(instants.count)
+        seen[instants.rows] = 1.0
+        self._unseen[:, 1] = np.maximum(self.missing, 1.0 - seen)
+        self._instants = instants
 
     def _windows(self, values: Floats) -> Floats:
         """Return the means of successive windows of the references."""
@@ -153,13 +175,19 @@ class FlightResidual:
     def project(self, addition: Addition) -> Floats:
         """Return what an addition [M, 3] on the grid adds to angle and velocity [N, 6]."""
         rows = np.zeros(self.rows.shape)
-        for part, added in enumerate((addition.gyro, addition.accel)):
-            if added is not None:
-                gathered = gathered_means(
-                    self._axes, added, self._fine_s, self._window, self._parts
-                )
-                rows[:, 3 * part : 3 * part + 3] = gathered
+        if addition.gyro is not None:
+            rows[:, _GYRO] = self._gathered(addition.gyro)
+        if addition.accel is None:
+            return rows
+        if self._instants is None:
+            rows[:, _ACCEL] = self._gathered(addition.accel)
+        else:
+            every = gathered_means(self._axes, addition.accel, self._fine_s, 1)
+            rows[:, _ACCEL] = self._instants.measured(every)
         return rows
+
+    def _gathered(self, added: Floats) -> Floats:
+        return gathered_means(self._axes, added, self._fine_s, self._window, self._parts)
 
     def project_body(self, addition: Addition) -> Floats:
         """Return what an addition [M, 3] on the grid adds to rate and force [N, 6]."""
@@ -240,7 +268,8 @@ class FlightResidual:
         white[:, 3:] += v_white**2 + (shaken * self._vibration) ** 2
         usual = np.median(drive, axis=0)
         white[:, :3] -= mean_of_walk * (usual[0] + usual[1])
-        white[:, 3:] -= mean_of_walk * (usual[3] + usual[4])
+        if self._instants is None:
+            white[:, 3:] -= mean_of_walk * (usual[3] + usual[4])
         out, log_variance = np.empty(rows.shape), np.empty(rows.shape[:2])
         whiten_flight(
             np.ascontiguousarray(rows),
@@ -248,7 +277,7 @@ class FlightResidual:
             self._tilt @ self._turn if self._is_error_in_body else self._tilt,
             self._path if self._is_error_in_body else self._earth_axes(),
             self._begins,
-            self.missing,
+            self._unseen,
             self._steps_s,
             keep,
             drive,
