@@ -87,7 +87,7 @@ class FlightResidual:
         increments = path.misfit
         judged = increments[:, :3] if len(path.velocity) else increments
         jumped = jumps(judged) | path.is_broken
-        away = jumped | excursions(grid_s, increments, jumped)
+        away = jumped | excursions(grid_s, increments, jumped, reference.ned_from_body[1:])
         increments[jumped] = 0.0
         self.rows = self._windows(_sum(increments))
         self.time_s = self._windows(grid_s)

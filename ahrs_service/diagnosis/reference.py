@@ -149,31 +149,35 @@ def jumps(increments: Floats) -> npt.NDArray[np.bool_]:
 
 
 def excursions(
-    time_s: Floats, increments: Floats, jumped: npt.NDArray[np.bool_]
+    time_s: Floats,
+    increments: Floats,
+    jumped: npt.NDArray[np.bool_],
+    ned_from_body: Floats | None = None,
 ) -> npt.NDArray[np.bool_]:
     """Return which of the intervals lie between a jump and the jump back.
 
-    `increments` [N, 3 or 6] angle and velocity. Back is what turns by as much and takes the
-    velocity back; which way it turns is another once the vehicle has turned.
+    `increments` [N, 3 or 6] angle and velocity. Back is what takes both back: the angle in these
+    axes or, with `ned_from_body` [N, 4] given, in those of the body, which has turned meanwhile. A
+    filter steps whenever it is aided, but one step does not undo another.
     """
     within = np.zeros(len(increments), np.bool_)
     places = np.flatnonzero(jumped)
     scale = np.maximum(1.4826 * np.median(np.abs(increments), axis=0), 1e-300)
-    leaps = increments / scale
+    speeds, level = increments[:, 3:] / scale[3:], float(scale[:3].mean())
+    angles = [increments[:, :3] / level]
+    if ned_from_body is not None:
+        angles.append(body_vectors(ned_from_body, angles[0]))
     for n, start in enumerate(places):
         for stop in places[n + 1 : n + 4]:
             if time_s[stop] - time_s[start] > _LONGEST_EXCURSION_S:
                 break
-            if _goes_back(leaps[start], leaps[stop]):
+            is_back = any(_goes_back(angle[start], angle[stop]) for angle in angles)
+            if is_back and _goes_back(speeds[start], speeds[stop]):
                 within[start : stop + 1] = True
                 break
     return within
 
 
 def _goes_back(there: Floats, back: Floats) -> bool:
-    turned, turned_back = np.linalg.norm(there[:3]), np.linalg.norm(back[:3])
-    left = np.linalg.norm(there[3:] + back[3:])
-    return bool(
-        abs(turned - turned_back) < _RETURN_SHARE * turned + _ONCE
-        and left < _RETURN_SHARE * np.linalg.norm(there[3:]) + _ONCE
-    )
+    left = np.linalg.norm(there + back)
+    return bool(left < _RETURN_SHARE * np.linalg.norm(there) + _ONCE)
