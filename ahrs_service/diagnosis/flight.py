@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ahrs_service.diagnosis.flight_filter import STATES, flight_gains, whiten_flight
-from ahrs_service.diagnosis.gathered import gather
+from ahrs_service.diagnosis.gathered import Gathered, gather
+from ahrs_service.diagnosis.instants import Instants, instants_on
 from ahrs_service.diagnosis.motion import (
     GRAVITY_NED,
     covariates,
@@ -51,7 +52,7 @@ _MEASURED: Final = float(np.log(1.3))
 _SLOW: Final = (float(np.log(15.0)), float(np.log(3000.0)))
 """Wander is slow: what comes and goes within seconds is motion, and to be explained by it."""
 
-_Path = tuple[Floats, Floats, Floats, Floats, Floats]
+_Path = tuple[Floats, Floats, Floats, Floats]
 _Filter = tuple[tuple[*_Path, Floats, Floats, Floats, Floats], Floats]
 
 
@@ -89,8 +90,9 @@ class FlightResidual:
         self._axes = np.ascontiguousarray(np.stack(axes, axis=2))
         self._fine_s = np.diff(path.time_s)
         increments = path.misfit
-        jumped = jumps(increments) | path.is_broken
-        away = jumped | excursions(grid_s, increments, jumped)
+        judged = increments[:, :3] if len(path.velocity) else increments
+        jumped = jumps(judged) | path.is_broken
+        away = jumped | excursions(grid_s, increments, jumped, reference.ned_from_body[1:])
         increments[jumped] = 0.0
         self.rows = self._windows(_sum(increments))
         self.time_s = self._windows(grid_s)
@@ -99,6 +101,10 @@ class FlightResidual:
         self._begins = (self._windows(np.append(False, jumped).astype(float)) > 0.0).astype(float)
         # Whatever was gathered while the attitude was wrong is no longer known after it.
         self._begins[1:] = np.maximum(self._begins[1:], self.missing[:-1])
+        self._instants: Instants | None = None
+        self._unseen = np.stack([self.missing, self.missing], axis=1)
+        if len(path.velocity):
+            self._measure(path)
         self._turn, self._tilt, self._path = self._paths(path.speeds)
         self._is_error_in_body = True
         self._filters: dict[tuple[bytes, bool], _Filter] = {}
@@ -116,6 +122,22 @@ class FlightResidual:
         self.witnessed = witnessed(reference, read)
         self.columns = moving(read, self.witnessed)
         self.body = self._in_body(reference, increments)
+
+    def _measure(self, path: Gathered) -> None:
+        """Put the misfit of a velocity that is told seldom into the rows nearest to its instants.
+
+        Drawn between its instants it would be smooth, and correlated with itself.
+        """
+        instants = instants_on(self.time_s, path.time_s, path.velocity.time_s)
+        increments = np.diff(path.velocity.values[instants.taken], axis=0)
+        jumped = jumps(increments)
+        increments[jumped] = 0.0
+        self.rows[:, _ACCEL] = instants.put(_sum(increments))
+        self._begins[instants.rows[1:][jumped]] = 1.0
+        seen = np.zeros(instants.count)
+        seen[instants.rows] = 1.0
+        self._unseen[:, 1] = np.maximum(self.missing, 1.0 - seen)
+        self._instants = instants
 
     def _windows(self, values: Floats) -> Floats:
         """Return the means of successive windows of the references."""
@@ -159,13 +181,19 @@ class FlightResidual:
     def project(self, addition: Addition) -> Floats:
         """Return what an addition [M, 3] on the grid adds to angle and velocity [N, 6]."""
         rows = np.zeros(self.rows.shape)
-        for part, added in enumerate((addition.gyro, addition.accel)):
-            if added is not None:
-                gathered = gathered_means(
-                    self._axes, added, self._fine_s, self._window, self._parts
-                )
-                rows[:, 3 * part : 3 * part + 3] = gathered
+        if addition.gyro is not None:
+            rows[:, _GYRO] = self._gathered(addition.gyro)
+        if addition.accel is None:
+            return rows
+        if self._instants is None:
+            rows[:, _ACCEL] = self._gathered(addition.accel)
+        else:
+            every = gathered_means(self._axes, addition.accel, self._fine_s, 1)
+            rows[:, _ACCEL] = self._instants.measured(every)
         return rows
+
+    def _gathered(self, added: Floats) -> Floats:
+        return gathered_means(self._axes, added, self._fine_s, self._window, self._parts)
 
     def project_body(self, addition: Addition) -> Floats:
         """Return what an addition [M, 3] on the grid adds to rate and force [N, 6]."""
@@ -258,19 +286,19 @@ class FlightResidual:
         white[:, 3:] += v_white**2 + (shaken * self._vibration) ** 2
         usual = np.median(drive, axis=0)
         white[:, :3] -= mean_of_walk * (usual[0] + usual[1])
-        white[:, 3:] -= mean_of_walk * (usual[3] + usual[4])
+        if self._instants is None:
+            white[:, 3:] -= mean_of_walk * (usual[3] + usual[4])
         count = len(self.rows)
         path = (
             self._turn,
             self._tilt @ self._turn if self._is_error_in_body else self._tilt,
             self._path if self._is_error_in_body else self._earth_axes(),
             self._begins,
-            self.missing,
         )
         gains, roots = np.empty((count, STATES, 6)), np.empty((count, 6, 6))
         variances = np.empty((count, 6))
         steps = self._steps_s, keep
-        flight_gains(*path, *steps, drive, start, white, gains, roots, variances)
+        flight_gains(*path, *steps, self._unseen, drive, start, white, gains, roots, variances)
         return (*path, *steps, gains, roots), np.log(variances)
 
 

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from ahrs_service.diagnosis.motion import GRAVITY_NED
 from ahrs_service.diagnosis.preintegration import preintegrate
-from ahrs_service.diagnosis.recorded import Recorded
+from ahrs_service.diagnosis.recorded import Recorded, Series
 from ahrs_service.diagnosis.reference import Reference, rotation_vectors
 from ahrs_service.records import Floats
 from ahrs_service.rotation import inverse_columns, multiply_columns, rotate_columns
@@ -27,7 +27,8 @@ class Gathered:
     `misfit` [N-1, 6] angle [rad] and velocity [m/s] gathered minus the reference's, `speeds`
     [N-1, 3] [m/s] the force gathered; `is_broken` [N-1] where there is a gap. `time_s` [M] and
     `ned_from_body` [M, 4] the references and `parts` - 1 instants between neighbours,
-    M = (N - 1) parts + 1.
+    M = (N - 1) parts + 1. `velocity` [K, 3] the velocity's misfit since the begin, at its own
+    instants, where it is told more seldom than the attitude.
     """
 
     time_s: Floats
@@ -36,6 +37,7 @@ class Gathered:
     misfit: Floats
     speeds: Floats
     is_broken: npt.NDArray[np.bool_]
+    velocity: Series
 
 
 def gather(recorded: Recorded, reference: Reference) -> Gathered:
@@ -53,11 +55,22 @@ def gather(recorded: Recorded, reference: Reference) -> Gathered:
     fine_s = _between(at_s, parts)
     turns, speeds = _gathered(recorded, fine_s, np.repeat(apart / steps_s, parts, axis=0))
     path = _path(q, turns, parts)
-    forces = rotate_columns(path[:-1], speeds).reshape(-1, parts, 3).sum(axis=1)
-    gained = forces + GRAVITY_NED * steps_s
-    speed = gained - np.diff(reference.velocity_ned_m_s, axis=0)
-    misfit = np.hstack([rotate_columns(q[1:], apart), speed])
-    return Gathered(fine_s, path, parts, misfit, forces, _gaps(recorded, at_s))
+    pushed = rotate_columns(path[:-1], speeds)
+    forces = pushed.reshape(-1, parts, 3).sum(axis=1)
+    own = reference.velocity
+    if len(own):
+        speed = _columns_at(fine_s, np.vstack([np.zeros((1, 3)), np.cumsum(pushed, axis=0)]), own)
+        speed += GRAVITY_NED * (own.time_s - at_s[0])[:, None] - own.values
+        own = Series(own.time_s, speed)
+        gained = np.diff(_columns_at(own.time_s, speed, Series(at_s, at_s)), axis=0)
+    else:
+        gained = forces + GRAVITY_NED * steps_s - np.diff(reference.velocity_ned_m_s, axis=0)
+    misfit = np.hstack([rotate_columns(q[1:], apart), gained])
+    return Gathered(fine_s, path, parts, misfit, forces, _gaps(recorded, at_s), own)
+
+
+def _columns_at(time_s: Floats, values: Floats, at: Series) -> Floats:
+    return np.stack([np.interp(at.time_s, time_s, column) for column in values.T], axis=1)
 
 
 def _gathered(recorded: Recorded, at_s: Floats, excess_rad_s: Floats) -> tuple[Floats, Floats]:
