@@ -41,6 +41,8 @@ from links.errors import RecordingError
 from links.recording_formats import KNOWN
 
 EXIT_DONE: Final = 0
+_READ: Final = 0.05
+"""Share of the whole time in which a recording is read."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -101,11 +103,13 @@ def run(args: argparse.Namespace) -> int:
 def diagnose_file(path: Path, twin: Imu, errors: Console) -> Diagnosis:
     """Read and diagnose a recording, with a bar; RecordingError says why it cannot be."""
     with progress_bar(errors, path.name) as advance:
-        loaded = load(path, lambda share: advance("reading", share))
+        loaded = load(path, lambda share: advance("reading", _READ * share))
         try:
             columns = compensated(with_velocity(loaded), twin.calibration)
             columns = without_effects(columns, twin.effects)
-            diagnosis = diagnose(columns, lambda share: advance("searching", share))
+            diagnosis = diagnose(
+                columns, lambda share: advance("searching", _READ + (1.0 - _READ) * share)
+            )
         except ValueError as error:
             raise RecordingError(f"{path}: {error}") from None
     return dataclasses.replace(diagnosis, notes=(*loaded.notes, *diagnosis.notes))

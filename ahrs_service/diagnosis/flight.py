@@ -106,6 +106,7 @@ class FlightResidual:
         self._begins[1:] = np.maximum(self._begins[1:], self.missing[:-1])
         self._turn, self._tilt, self._path = self._paths(gathered)
         self._is_error_in_body = True
+        self.moved: Callable[[], None] = lambda: None
         self._filters: dict[tuple[bytes, bool], _Filter] = {}
         imu_s, readings = recorded.imu_time_s, np.hstack([recorded.gyro_rad_s, recorded.accel_m_s2])
         slow = slow_motion(imu_s, readings, grid_s)
@@ -166,6 +167,7 @@ class FlightResidual:
 
     def project(self, addition: Addition) -> Floats:
         """Return what an addition [M, 3] on the grid adds to angle and velocity [N, 6]."""
+        self.moved()
         rows = np.zeros(self.rows.shape)
         for part, added in enumerate((addition.gyro, addition.accel)):
             if added is not None:
@@ -237,6 +239,7 @@ class FlightResidual:
 
     def whiten(self, noise: Noise, rows: Floats) -> tuple[Floats, Floats]:
         """Return `rows` [N, 6, K] whitened, and the log variances [N, 6] of the innovations."""
+        self.moved()
         key = noise.tobytes(), self._is_error_in_body
         if key not in self._filters:
             while len(self._filters) >= _FILTERS_KEPT:
