@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.diagnosis.bench import BenchResidual
+from ahrs_service.diagnosis.beside_truth import Truth, beside_truth
 from ahrs_service.diagnosis.explain import explanation
 from ahrs_service.diagnosis.flight import FlightResidual, is_flight
 from ahrs_service.diagnosis.holdout import free_run, held_out
@@ -67,11 +68,13 @@ def compare(recorded: Recorded) -> Residual:
     return BenchResidual(recorded, reference)
 
 
-def diagnose(recorded: Recorded, progress: Progress | None = None) -> Diagnosis:
+def diagnose(
+    recorded: Recorded, progress: Progress | None = None, truth: Truth | None = None
+) -> Diagnosis:
     """Locate and name what makes a recording differ from an ideal IMU.
 
     What a twin knows is taken out of the readings before (diagnosis.known). `progress` is called
-    with the share done, 0 to 1.
+    with the share done, 0 to 1. With the `truth` its figures stand beside what was found.
     """
     bar = _Bar(progress or (lambda share: None))
     residual = compare(recorded)
@@ -104,6 +107,7 @@ def diagnose(recorded: Recorded, progress: Progress | None = None) -> Diagnosis:
         whiteness=whiteness(residual, model),
         covariates=against_covariates(residual, found.bare, model),
         series=_series(residual, model),
+        oracle=None if truth is None else beside_truth(residual, found.bare, model, truth),
     )
 
 
