@@ -49,6 +49,14 @@ def _body(name: str, diagnosis: Diagnosis, against: tuple[str, Diagnosis] | None
     yield from _pictures(diagnosis)
     if diagnosis.findings:
         yield from _holdout(diagnosis)
+    if diagnosis.oracle is not None:
+        yield "<h2>Beside the truth</h2>"
+        yield _table(text.TRUTH_HEAD, text.beside_truth(diagnosis))
+        yield (
+            "<p>On held-out parts: before, with what was found, and with the true numbers "
+            "(the oracle, of which only the noise is fitted).</p>"
+        )
+        yield _table(text.ORACLE_HEAD, text.held_out_beside_truth(diagnosis))
     if against is not None:
         yield from _against(diagnosis, *against)
     if diagnosis.not_observable:

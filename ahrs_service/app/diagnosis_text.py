@@ -6,7 +6,15 @@ from typing import Any, Final
 import numpy as np
 
 from ahrs_service.calibration.folding import why_not_live
-from ahrs_service.diagnosis.result import Diagnosis, Estimated, Finding, FreeRun, Unexplained, Where
+from ahrs_service.diagnosis.result import (
+    Diagnosis,
+    Estimated,
+    Finding,
+    FreeRun,
+    Unexplained,
+    Vector,
+    Where,
+)
 from ahrs_service.effects.catalogue import effect_of
 
 VERDICTS: Final = {
@@ -15,6 +23,12 @@ VERDICTS: Final = {
     "unexplained": "Unexplained: something real is left that no effect of the catalogue explains.",
 }
 """The verdict as a sentence."""
+
+TRUTH_HEAD: Final = ("effect", "parameter", "true", "found")
+ORACLE_HEAD: Final = ("", "before", "found", "oracle")
+"""Columns of `beside_truth` and `held_out_beside_truth`."""
+
+DOUBTFUL_TRUTH: Final = "the true numbers explain this recording worse than none: is it its truth?"
 
 _SPANS_SHOWN: Final = 3
 _SMALLEST_POWER: Final = -3
@@ -124,6 +138,64 @@ def free_run_text(run: FreeRun) -> str:
         f"Attitude error after 60 s of the gyro alone: {run.before:.2f} deg before, "
         f"{run.after:.2f} deg after."
     )
+
+
+def beside_truth(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
+    """Return rows of effect, parameter, true value, value found: of every true or found effect."""
+    oracle = diagnosis.oracle
+    if oracle is None:
+        return []
+    found = {finding.effect: finding for finding in diagnosis.findings}
+    rows = []
+    for true in oracle.effects:
+        mine = found.pop(true.effect, None)
+        inside = [one.effect for one in found.values() if true.effect in one.alike]
+        for name, value in true.parameters.items():
+            unit = {p.name: p.unit for p in effect_of(true.effect).parameters}[name]
+            told = estimate_text(Estimated(value, np.zeros(np.shape(value)), unit))
+            if mine is not None:
+                got = estimate_text(mine.parameters[name])
+            else:
+                got = f"in the class of {inside[0]}" if inside else "not found"
+            rows.append((true.effect, words(name), told, got))
+    rows += [(what, "", "has no equation here", "") for what in oracle.outside]
+    for finding in found.values():
+        if not any(true.effect in finding.alike for true in oracle.effects):
+            rows.append((finding.effect, "", "not there", parameters_text(finding)))
+    return rows
+
+
+def held_out_beside_truth(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
+    """Return rows of figure, before, found, with the true numbers: all on held-out parts."""
+    oracle = diagnosis.oracle
+    if oracle is None:
+        return []
+    gains = [triads["gyro"].log_likelihood_gain for triads in (oracle.found, oracle.oracle)]
+    rows = [("log-likelihood gain [nats]", "0", *(f"{gain:.1f}" for gain in gains))]
+    for triad, unit in (("gyro", "rad/s"), ("accel", "m/s^2")):
+        mine, true = oracle.found[triad], oracle.oracle[triad]
+        whole = mine.rms_before, mine.rms_after, true.rms_after
+        rows += _per_axis(f"{triad} {{}} rms [{unit}]", whole)
+        slow = (
+            mine.low_frequency_rms_before,
+            mine.low_frequency_rms_after,
+            true.low_frequency_rms_after,
+        )
+        rows += _per_axis(f"{triad} {{}} rms below 0.05 Hz [{unit}]", slow)
+    run = diagnosis.free_run
+    if run is not None and oracle.free_run_deg is not None:
+        figures = run.before, run.after, oracle.free_run_deg
+        rows.append(
+            ("attitude after 60 s of the gyro alone [deg]", *(f"{one:.3f}" for one in figures))
+        )
+    return rows
+
+
+def _per_axis(name: str, sides: Iterable[Vector]) -> list[tuple[str, ...]]:
+    return [
+        (name.format(axis), *(f"{value:.3g}" for value in values))
+        for axis, values in zip("xyz", zip(*sides, strict=True), strict=True)
+    ]
 
 
 def words(name: str) -> str:

@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.diagnosis.bench import BenchResidual
+from ahrs_service.diagnosis.beside_truth import Truth, beside_truth
 from ahrs_service.diagnosis.explain import explanation
 from ahrs_service.diagnosis.flight import FlightResidual, is_flight
 from ahrs_service.diagnosis.holdout import free_run, held_out
@@ -34,6 +35,29 @@ _AXIS_SIGMA: Final = 3.0
 _FALLBACK: Final = "whole recording"
 _COMPARED, _PROJECTED, _SEARCH, _JUDGED = 0.06, 0.24, 0.56, 0.85
 """Shares of the whole time: compared, responses projected, the search's own, findings judged."""
+_CREEP: Final = 0.003
+"""Share of what is left of a stage that a projection or a whitening is taken for."""
+
+
+class _Bar:
+    """The share that is done: it enters stages, creeps through each and never goes back."""
+
+    def __init__(self, tell: Progress) -> None:
+        self._tell, self._share, self._end = tell, 0.0, 0.0
+
+    def enter(self, begin: float, end: float) -> None:
+        """Begin a stage from one share to another."""
+        self._share, self._end = max(self._share, begin), end
+        self._tell(self._share)
+
+    def creep(self) -> None:
+        """Move on a little towards the end of the stage."""
+        self._share += _CREEP * (self._end - self._share)
+        self._tell(self._share)
+
+
+def _of_search(share: float) -> float:
+    return _PROJECTED + _SEARCH * share
 
 
 def compare(recorded: Recorded) -> Residual:
@@ -44,19 +68,21 @@ def compare(recorded: Recorded) -> Residual:
     return BenchResidual(recorded, reference)
 
 
-def diagnose(recorded: Recorded, progress: Progress | None = None) -> Diagnosis:
+def diagnose(
+    recorded: Recorded, progress: Progress | None = None, truth: Truth | None = None
+) -> Diagnosis:
     """Locate and name what makes a recording differ from an ideal IMU.
 
     What a twin knows is taken out of the readings before (diagnosis.known). `progress` is called
-    with the share done, 0 to 1.
+    with the share done, 0 to 1. With the `truth` its figures stand beside what was found.
     """
-    tell = progress or (lambda share: None)
+    bar = _Bar(progress or (lambda share: None))
     residual = compare(recorded)
-    tell(_COMPARED)
+    residual.moved = bar.creep
+    bar.enter(_COMPARED, _PROJECTED)
     library = library_of(residual)
-    tell(_PROJECTED)
-    found = search(residual, library, lambda share: tell(_PROJECTED + _SEARCH * share))
-    tell(_PROJECTED + _SEARCH)
+    found = search(residual, library, lambda share: bar.enter(_of_search(share), _of_search(1.0)))
+    bar.enter(_of_search(1.0), _JUDGED)
     model = found.model
     findings = tuple(
         _finding(residual, found, step, place) for place, step in enumerate(found.steps)
@@ -68,7 +94,7 @@ def diagnose(recorded: Recorded, progress: Progress | None = None) -> Diagnosis:
     verdict = "unexplained" if left else "explained" if findings else "no_mismatch"
     triad = findings[0].effect.split("_")[0] if findings else "gyro"
     whole = held_out(residual, found.bare, model, triad) if model.terms else None
-    tell(_JUDGED)
+    bar.enter(_JUDGED, 1.0)
     noise = dict(zip(residual.noise_names, np.exp(model.noise).tolist(), strict=True))
     return Diagnosis(
         verdict=verdict,  # type: ignore[arg-type]
@@ -81,6 +107,7 @@ def diagnose(recorded: Recorded, progress: Progress | None = None) -> Diagnosis:
         whiteness=whiteness(residual, model),
         covariates=against_covariates(residual, found.bare, model),
         series=_series(residual, model),
+        oracle=None if truth is None else beside_truth(residual, found.bare, model, truth),
     )
 
 

@@ -107,6 +107,7 @@ class FlightResidual:
             self._measure(path)
         self._turn, self._tilt, self._path = self._paths(path.speeds)
         self._is_error_in_body = True
+        self.moved: Callable[[], None] = lambda: None
         self._filters: dict[tuple[bytes, bool], _Filter] = {}
         imu_s, readings = recorded.imu_time_s, np.hstack([recorded.gyro_rad_s, recorded.accel_m_s2])
         slow = slow_motion(imu_s, readings, path.time_s)
@@ -180,6 +181,7 @@ class FlightResidual:
 
     def project(self, addition: Addition) -> Floats:
         """Return what an addition [M, 3] on the grid adds to angle and velocity [N, 6]."""
+        self.moved()
         rows = np.zeros(self.rows.shape)
         if addition.gyro is not None:
             rows[:, _GYRO] = self._gathered(addition.gyro)
@@ -258,6 +260,7 @@ class FlightResidual:
 
     def whiten(self, noise: Noise, rows: Floats) -> tuple[Floats, Floats]:
         """Return `rows` [N, 6, K] whitened, and the log variances [N, 6] of the innovations."""
+        self.moved()
         key = noise.tobytes(), self._is_error_in_body
         if key not in self._filters:
             while len(self._filters) >= _FILTERS_KEPT:

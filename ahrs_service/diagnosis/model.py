@@ -26,9 +26,9 @@ _DYNAMIC: Final = ("low_pass", "time_offset", "clock_drift", "mounting_rotation"
 """Effects large enough, and of a kind, that the reading is no substitute for the ideal motion."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Model:
-    """Terms and unknown columns fitted to a residual.
+    """Terms and unknown columns fitted to a residual; each is equal to itself alone.
 
     `unknown` names of smooth dependences whose rows are `unknown_rows` [N, 6, U];
     `log_likelihood` at its maximum; `covariance` [P, P] of the terms' free numbers in the order

@@ -24,6 +24,7 @@ class Residual(Protocol):
     `time_s` [N] of the rows, `rows` [N, 6] the misfit as it is whitened; `body` [N, 6] the same
     as rate [rad/s] and specific force [m/s^2] in body axes, for people. `columns` the motion by
     the best source there is, `witnessed` by the reference alone (the same where it is exact).
+    `moved` is called with every projection and whitening, of which diagnosis does thousands.
     """
 
     time_s: Floats
@@ -37,6 +38,10 @@ class Residual(Protocol):
     ties: Floats
     scatter: Floats
     noise_names: Sequence[str]
+    moved: Callable[[], None]
+
+    def __hash__(self) -> int:
+        """By identity: what was computed for a residual is kept."""
 
     def project(self, addition: Addition) -> Floats:
         """Return what an addition on the grid of `columns` adds to `rows` [N, 6]."""

@@ -97,6 +97,30 @@ class FreeRun:
 
 
 @dataclass(frozen=True, slots=True)
+class TrueEffect:
+    """An effect that a recording is known to hold, with its parameters by name."""
+
+    effect: str
+    parameters: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Oracle:
+    """What the truth would have gained: the same figures with its numbers, none of them fitted.
+
+    `outside` what is hidden and has no equation here, in words; `found` and `oracle` the held-out
+    figures of what was found and of the truth, by triad ("gyro", "accel"): both before and after.
+    `free_run_deg` the truth's attitude error after 60 s of the gyro alone.
+    """
+
+    effects: tuple[TrueEffect, ...]
+    outside: tuple[str, ...]
+    found: Mapping[str, Holdout]
+    oracle: Mapping[str, Holdout]
+    free_run_deg: float | None
+
+
+@dataclass(frozen=True, slots=True)
 class Covariate:
     """Residual of one channel against one covariate, for a picture.
 
@@ -149,6 +173,7 @@ class Diagnosis:
     covariates: tuple[Covariate, ...] = ()
     series: ResidualSeries | None = None
     notes: tuple[str, ...] = ()
+    oracle: Oracle | None = None
 
 
 def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -158,7 +183,7 @@ def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
         held_out |= asdict(diagnosis.holdout)
     if diagnosis.free_run is not None:
         held_out["free_run_attitude_error_60s_deg"] = asdict(diagnosis.free_run)
-    return {
+    report: dict[str, Any] = {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict,
         "effects": [_finding(finding) for finding in diagnosis.findings],
@@ -168,6 +193,12 @@ def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "noise": dict(diagnosis.noise),
         "notes": list(diagnosis.notes),
     }
+    if diagnosis.oracle is not None:
+        report["oracle"] = asdict(diagnosis.oracle)
+        if diagnosis.free_run is not None:
+            free_run = held_out["free_run_attitude_error_60s_deg"]
+            free_run["oracle"] = diagnosis.oracle.free_run_deg
+    return report
 
 
 def _finding(finding: Finding) -> dict[str, Any]:

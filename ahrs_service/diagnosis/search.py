@@ -7,6 +7,7 @@ of a model without it.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -180,7 +181,9 @@ def _best_unknown(
     return best if best is not None and best.surprise > least else None
 
 
+@lru_cache(maxsize=8)
 def _without(residual: Residual, model: Model, place: int) -> Model:
+    """Return a model without one of its terms; pruning, confirming and judging ask for the same."""
     terms = model.terms[:place] + model.terms[place + 1 :]
     return refit(residual, settle(residual, terms, model.noise, model.unknown, model.unknown_rows))
 
