@@ -7,6 +7,7 @@ import numpy as np
 
 from ahrs_service.diagnosis.bench import BenchResidual
 from ahrs_service.diagnosis.beside_truth import Truth, beside_truth
+from ahrs_service.diagnosis.chance import over_the_search
 from ahrs_service.diagnosis.explain import explanation
 from ahrs_service.diagnosis.flight import FlightResidual, is_flight
 from ahrs_service.diagnosis.holdout import free_run, held_out
@@ -143,7 +144,7 @@ def _finding(residual: Residual, found: Search, step: Step, place: int) -> Findi
         axes=axes,
         where=where,
         parameters=parameters,
-        p_value=math.exp(-min(step.surprise, 700.0)),
+        p_value=over_the_search(step.surprise, found.hypotheses),
         log_evidence=step.gain,
         rival=None if rival is None else Rival(*rival),
         holdout=held,
