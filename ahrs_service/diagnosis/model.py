@@ -30,7 +30,7 @@ _DYNAMIC: Final = ("low_pass", "time_offset", "clock_drift", "mounting_rotation"
 class Model:
     """Terms and unknown columns fitted to a residual; each is equal to itself alone.
 
-    `unknown` names of smooth dependences whose rows are `unknown_rows` [N, 6, U];
+    `unknown` [U] the smooth dependence that each column of `unknown_rows` [N, 6, U] is of;
     `log_likelihood` at its maximum; `covariance` [P, P] of the terms' free numbers in the order
     of `free_numbers`; `misfit` [N, 6] the rows minus what the terms add, `base` [N, 6, B] bias,
     unknown and the terms' derivatives, `prior` [B+1, B+1] of their coefficients (see `_prior`).
