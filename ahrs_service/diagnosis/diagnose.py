@@ -30,6 +30,7 @@ from ahrs_service.diagnosis.result import (
 )
 from ahrs_service.diagnosis.screen import unseen
 from ahrs_service.diagnosis.search import Progress, Search, search
+from ahrs_service.diagnosis.uncertainty import variances
 from ahrs_service.diagnosis.whiteness import whiteness
 from ahrs_service.records import Floats
 
@@ -86,8 +87,9 @@ def diagnose(
     found = search(residual, library, lambda share: bar.enter(_of_search(share), _of_search(1.0)))
     bar.enter(_of_search(1.0), _JUDGED)
     model = found.model
+    known = variances(residual, model)
     findings = tuple(
-        _finding(residual, found, step, place) for place, step in enumerate(found.steps)
+        _finding(residual, found, step, place, known) for place, step in enumerate(found.steps)
     )
     left = tuple(
         Unexplained(
@@ -134,9 +136,9 @@ def _series(residual: Residual, model: Model) -> ResidualSeries:
     return ResidualSeries(residual.time_s, before, before - added_body(residual, model.terms))
 
 
-def _finding(residual: Residual, found: Search, step: Step, place: int) -> Finding:
+def _finding(residual: Residual, found: Search, step: Step, place: int, known: Floats) -> Finding:
     term = found.model.terms[place]
-    parameters, axes = _parameters(found.model, place)
+    parameters, axes = _parameters(found.model, place, known)
     rival = found.rivals[place]
     alike = found.alike[place]
     held = held_out(residual, step.model, found.model, term.effect.triad)
@@ -165,14 +167,15 @@ def _sizes(residual: Residual, term: Term) -> Floats:
     return np.asarray(np.std(added, axis=0))
 
 
-def _parameters(model: Model, place: int) -> tuple[dict[str, Estimated], tuple[str, ...]]:
-    """Return the parameters of a term with their sigmas, and the axes that stand out."""
+def _parameters(
+    model: Model, place: int, known: Floats
+) -> tuple[dict[str, Estimated], tuple[str, ...]]:
+    """Return a term's parameters with their sigmas by `known` variances; axes that stand out."""
     term = model.terms[place]
     stds = {p.name: np.zeros(p.shape) for p in term.effect.parameters}
     numbers = free_numbers(model.terms)
-    variances = np.maximum(np.diag(model.covariance), 0.0)
     axes: set[int] = set()
-    for number, variance in zip(numbers, variances, strict=True):
+    for number, variance in zip(numbers, known, strict=True):
         if number.term == place:
             stds[number.parameter.name][number.index] = math.sqrt(variance)
             axes |= _axis(term, number, math.sqrt(variance))
