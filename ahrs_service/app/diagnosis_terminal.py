@@ -56,7 +56,7 @@ def findings_table(diagnosis: Diagnosis) -> Table:
             escape(finding.effect),
             " ".join(finding.axes),
             f"{finding.log_evidence:.1f}",
-            escape(f"{rival.effect} {rival.log_evidence:.1f}") if rival else "-",
+            escape(f"{rival.effect}\n{rival.log_evidence:.1f}") if rival else "-",
             f"{finding.holdout.log_likelihood_gain:.1f}",
         )
     return table

@@ -1,5 +1,6 @@
 """What a diagnosis says, in plain sentences: the same words on the screen, the page, the viewer."""
 
+import re
 from collections.abc import Iterable
 from typing import Any, Final
 
@@ -30,6 +31,7 @@ ORACLE_HEAD: Final = ("", "before", "found", "oracle")
 
 DOUBTFUL_TRUTH: Final = "the true numbers explain this recording worse than none: is it its truth?"
 
+_UNIT_IN_NAME: Final = re.compile("_(s|m|hz|a|rad|degC|rad_s_per_m_s2)$")
 _SPANS_SHOWN: Final = 3
 _SMALLEST_POWER: Final = -3
 
@@ -40,11 +42,7 @@ def paragraph(finding: Finding) -> str:
     if finding.where:
         parts.append(f"It shows {where_text(finding.where)}.")
     parts.append(f"Fitted: {parameters_text(finding)}.")
-    gain = finding.holdout.log_likelihood_gain
-    parts.append(
-        f"On parts of the recording it was not fitted to it gains {gain:.0f} nats of likelihood "
-        f"({_chance(finding.p_value)})."
-    )
+    parts.append(_held_out_text(finding))
     others = [one for one in finding.alike if one != finding.effect]
     if others and "cannot tell" not in finding.explanation:
         names = " or ".join(title(one) for one in others)
@@ -53,6 +51,20 @@ def paragraph(finding: Finding) -> str:
         parts.append(f"To be sure: {finding.separating_manoeuvre}.")
     parts.append(_sentence(live_text(finding.effect)))
     return " ".join(parts)
+
+
+def _held_out_text(finding: Finding) -> str:
+    """Say what a finding gains where it was not fitted, on the axis where it changes most."""
+    held = finding.holdout
+    changes = np.subtract(held.rms_before, held.rms_after)
+    axis = int(np.argmax(np.abs(changes)))
+    unit = unit_of(finding.effect)
+    return (
+        f"On parts of the recording it was not fitted to it gains {held.log_likelihood_gain:.0f} "
+        f"nats of likelihood ({_chance(finding.p_value)}), and the {triad_of(finding.effect)}'s "
+        f"residual on {'xyz'[axis]} goes from {held.rms_before[axis]:.2g} to "
+        f"{held.rms_after[axis]:.2g} {unit} rms."
+    )
 
 
 def live_text(effect: str) -> str:
@@ -91,8 +103,14 @@ def where_text(where: Iterable[Where]) -> str:
 def parameters_text(finding: Finding) -> str:
     """Return the parameters with their 1-sigma and unit."""
     return ", ".join(
-        f"{words(name)} {estimate_text(estimate)}" for name, estimate in finding.parameters.items()
+        f"{parameter_text(name)} {estimate_text(estimate)}"
+        for name, estimate in finding.parameters.items()
     )
+
+
+def parameter_text(name: str) -> str:
+    """Return a parameter's name as words, without the unit that follows its value."""
+    return words(name if name.startswith("per_") else _UNIT_IN_NAME.sub("", name))
 
 
 def estimate_text(estimate: Estimated) -> str:
@@ -157,7 +175,7 @@ def beside_truth(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
                 got = estimate_text(mine.parameters[name])
             else:
                 got = f"in the class of {inside[0]}" if inside else "not found"
-            rows.append((true.effect, words(name), told, got))
+            rows.append((true.effect, parameter_text(name), told, got))
     rows += [(what, "", "has no equation here", "") for what in oracle.outside]
     for finding in found.values():
         if not any(true.effect in finding.alike for true in oracle.effects):

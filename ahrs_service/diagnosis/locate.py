@@ -136,4 +136,8 @@ def _regime(residual: Residual, names: dict[str, Floats], t0_s: float, t1_s: flo
     }
     name = max(scores, key=lambda key: abs(scores[key]))
     mean = names[name][inside].mean()
-    return f"{'high' if scores[name] > 0 else 'low'} {name}, {mean:.3g} {_UNITS[name]}"
+    unit = _UNITS[name]
+    if unit.startswith("rad"):
+        mean, unit = np.degrees(mean), unit.replace("rad", "deg")
+    size = "high" if scores[name] > 0 else "low"
+    return f"{size} {name}, {mean:.3g} {unit}".removesuffix(" 1")
