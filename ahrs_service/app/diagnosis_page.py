@@ -51,6 +51,8 @@ def _body(name: str, diagnosis: Diagnosis, against: tuple[str, Diagnosis] | None
     for item in diagnosis.unexplained:
         yield f"<h2>Not explained: {_safe(text.words(item.channel))}</h2>"
         yield f"<p>{_safe(text.unexplained_text(item))}</p>"
+    for implausible in diagnosis.implausible:
+        yield f"<p>{_safe(text.implausible_text(implausible))}</p>"
     yield from _pictures(diagnosis)
     if diagnosis.findings:
         yield from _holdout(diagnosis)
@@ -77,7 +79,8 @@ def _body(name: str, diagnosis: Diagnosis, against: tuple[str, Diagnosis] | None
 
 def _finding(number: int, finding: Finding) -> Iterator[str]:
     yield f"<h2>{number}. {_safe(text.title(finding.effect))} <code>{finding.effect}</code></h2>"
-    yield f"<p>{_safe(text.paragraph(finding))}</p>"
+    yield f"<p>{_safe(text.paragraph(finding, has_numbers=False))}</p>"
+    yield _table(("fitted", "x", "y", "z"), text.parameter_rows(finding))
 
 
 def _pictures(diagnosis: Diagnosis) -> Iterator[str]:

@@ -29,6 +29,8 @@ def _parts(name: str, diagnosis: Diagnosis) -> Iterator[RenderableType]:
         yield Padding(Text(f"{number}. {text.paragraph(finding)}"), (0, 0, 1, 0))
     for item in diagnosis.unexplained:
         yield Text(f"? {text.unexplained_text(item)}", style="red")
+    for implausible in diagnosis.implausible:
+        yield Text(f"! {text.implausible_text(implausible)}", style="yellow")
     if diagnosis.findings:
         yield holdout_table(diagnosis)
     if diagnosis.free_run is not None:

@@ -12,6 +12,7 @@ from ahrs_service.diagnosis.result import (
     Estimated,
     Finding,
     FreeRun,
+    Implausible,
     Unexplained,
     Vector,
     Where,
@@ -36,12 +37,13 @@ _SPANS_SHOWN: Final = 3
 _SMALLEST_POWER: Final = -3
 
 
-def paragraph(finding: Finding) -> str:
+def paragraph(finding: Finding, has_numbers: bool = True) -> str:
     """Return one finding as a paragraph: what, where, how much, how sure, what to do."""
     parts = [_sentence(finding.explanation)]
     if finding.where:
         parts.append(f"It shows {where_text(finding.where)}.")
-    parts.append(f"Fitted: {parameters_text(finding)}.")
+    if has_numbers:
+        parts.append(f"Fitted: {parameters_text(finding)}.")
     parts.append(_held_out_text(finding))
     others = [one for one in finding.alike if one != finding.effect]
     if others and "cannot tell" not in finding.explanation:
@@ -54,16 +56,16 @@ def paragraph(finding: Finding) -> str:
 
 
 def _held_out_text(finding: Finding) -> str:
-    """Say what a finding gains where it was not fitted, on the axis where it changes most."""
+    """Say what a finding gains where it was not fitted, on the axis and in the band of most."""
     held = finding.holdout
-    changes = np.subtract(held.rms_before, held.rms_after)
-    axis = int(np.argmax(np.abs(changes)))
-    unit = unit_of(finding.effect)
+    before = np.array([held.rms_before, held.low_frequency_rms_before])
+    after = np.array([held.rms_after, held.low_frequency_rms_after])
+    band, axis = np.unravel_index(np.argmin(after / np.maximum(before, 1e-30)), before.shape)
     return (
         f"On parts of the recording it was not fitted to it gains {held.log_likelihood_gain:.0f} "
-        f"nats of likelihood ({_chance(finding.p_value)}), and the {triad_of(finding.effect)}'s "
-        f"residual on {'xyz'[axis]} goes from {held.rms_before[axis]:.2g} to "
-        f"{held.rms_after[axis]:.2g} {unit} rms."
+        f"nats of likelihood ({_chance(finding.p_value)}), and the residual of the "
+        f"{triad_of(finding.effect)} on {'xyz'[axis]}{' below 0.05 Hz' if band else ''} goes from "
+        f"{before[band, axis]:.3g} to {after[band, axis]:.3g} {unit_of(finding.effect)} rms."
     )
 
 
@@ -89,6 +91,19 @@ def unexplained_text(item: Unexplained) -> str:
     )
 
 
+def implausible_text(item: Implausible) -> str:
+    """Say that an effect would explain something, but not at a size that is believed."""
+    sizes = ", ".join(
+        f"{parameter_text(name)} {estimate_text(Estimated(item.parameters[name], 0.0, '1'))} "
+        f"(data sheets: up to {largest:.2g})"
+        for name, largest in item.plausible.items()
+    )
+    return (
+        f"Not believed: {title(item.effect)} ({item.effect}) would gain {item.log_evidence:.0f} "
+        f"nats, but with {sizes}; something else acts, in recording, reference or vehicle."
+    )
+
+
 def where_text(where: Iterable[Where]) -> str:
     """Return where something shows: "from 60 s to 150 s (vibration above 2 m/s^2)"."""
     spans = list(where)
@@ -106,6 +121,21 @@ def parameters_text(finding: Finding) -> str:
         f"{parameter_text(name)} {estimate_text(estimate)}"
         for name, estimate in finding.parameters.items()
     )
+
+
+def parameter_rows(finding: Finding) -> list[tuple[str, ...]]:
+    """Return the parameters as rows of name with unit, x, y, z; a number stands under x."""
+    rows = []
+    for name, estimate in finding.parameters.items():
+        value, std = np.asarray(estimate.value), np.asarray(estimate.std)
+        unit = "" if estimate.unit == "1" else f" [{estimate.unit}]"
+        label = f"{parameter_text(name)}{unit}"
+        lines = zip(np.atleast_2d(value), np.atleast_2d(std), strict=True)
+        for axis, (values, stds) in zip("xyz", lines, strict=False):
+            cells = [_numbers(v, s) for v, s in zip(values, stds, strict=True)]
+            cells += [""] * (3 - len(cells))
+            rows.append((f"{label} of {axis}" if value.ndim == 2 else label, *cells))
+    return rows
 
 
 def parameter_text(name: str) -> str:

@@ -20,6 +20,7 @@ from ahrs_service.diagnosis.result import (
     Diagnosis,
     Estimated,
     Finding,
+    Implausible,
     NotObservable,
     ResidualSeries,
     Rival,
@@ -126,6 +127,7 @@ def diagnose(
         whiteness=whiteness(residual, model),
         covariates=against_covariates(residual, found.bare, model),
         series=_series(residual, model),
+        implausible=_implausible(library, model),
         oracle=None if truth is None else beside_truth(residual, found.bare, model, truth),
     )
 
@@ -199,6 +201,20 @@ def _axis(term: Term, number: Number, std: float) -> set[int]:
     value = abs(float(term.values[number.parameter.name][number.index]))
     stands_out = bool(number.index) and value > _AXIS_SIGMA * std
     return {number.index[0]} if stands_out else set()
+
+
+def _implausible(library: Library, model: Model) -> tuple[Implausible, ...]:
+    named = {term.effect.id for term in model.terms}
+    return tuple(
+        Implausible(
+            name,
+            {key: value.tolist() for key, value in term.values.items()},
+            {p.name: p.plausible for p in term.effect.parameters if p.step},
+            gain,
+        )
+        for name, (term, gain) in library.implausible.items()
+        if name not in named
+    )
 
 
 def _not_observable(

@@ -151,7 +151,7 @@ def best_step(residual: Residual, library: Library, model: Model, least: float) 
         fitted = [
             _step(residual, model, step.candidate, refit(residual, step.model)) for step in close
         ]
-        fitted = [step for step in fitted if is_plausible(step.model)]
+        fitted = [step for step in fitted if _is_possible(library, step)]
         best = max(fitted, key=lambda step: step.surprise, default=None)
     if best is not None:
         held = {step.candidate.name: step.surprise for step in steps}[best.candidate.name]
@@ -161,6 +161,14 @@ def best_step(residual: Residual, library: Library, model: Model, least: float) 
     if unknown is not None:
         return unknown
     return best if best is not None and best.surprise > least else None
+
+
+def _is_possible(library: Library, step: Step) -> bool:
+    """Whether a step's numbers are of a size that an IMU can have; what is not is noted."""
+    if is_plausible(step.model):
+        return True
+    library.implausible[step.candidate.name] = step.model.terms[-1], step.gain
+    return False
 
 
 def _best_unknown(

@@ -26,6 +26,7 @@ from ahrs_service.diagnosis.result import (
     Finding,
     FreeRun,
     Holdout,
+    Implausible,
     NotObservable,
     Oracle,
     ResidualSeries,
@@ -34,6 +35,7 @@ from ahrs_service.diagnosis.result import (
     Unexplained,
     Where,
     Whiteness,
+    as_json,
 )
 from ahrs_service.effects.catalogue import effect_of
 from ahrs_service.simulation.imu import Imu
@@ -84,6 +86,14 @@ def diagnosis():
         covariates=(against,),
         series=ResidualSeries(time_s, before, 0.5 * before),
         notes=("reference: <b>ATTITUDE</b>",),
+        implausible=(
+            Implausible(
+                "accel_scale_factor",
+                {"scale_error": [0.6, 0.0, 0.9]},
+                {"scale_error": 0.03},
+                231.0,
+            ),
+        ),
     )
 
 
@@ -111,6 +121,26 @@ def test_a_finding_is_a_paragraph_that_a_pilot_understands():
 )
 def test_figures_carry_two_digits_of_their_sigma(value, std, unit, words):
     assert text.estimate_text(Estimated(value, std, unit)) == words
+
+
+def test_what_is_too_large_to_be_believed_is_told_with_its_size(diagnosis):
+    (item,) = diagnosis.implausible
+    words = text.implausible_text(item)
+    assert "accel_scale_factor) would gain 231 nats" in words
+    assert "scale error (0.6, 0, 0.9) (data sheets: up to 0.03)" in words
+    assert words in html.unescape(page("a.tlog", diagnosis))
+    assert json.loads(json.dumps(as_json(diagnosis)))["implausible"][0]["log_evidence"] == 231.0
+
+
+def test_the_fitted_numbers_stand_in_a_table_by_axis():
+    matrix = Estimated(np.full((3, 3), 2e-3).tolist(), np.full((3, 3), 1e-4).tolist(), "rad s/m")
+    offset = Estimated(0.0089, 0.0001, "s")
+    one = finding(parameters={"matrix_rad_s_per_m_s2": matrix, "offset_s": offset})
+    cell = "0.00200 ± 0.00010"
+    assert text.parameter_rows(one) == [
+        *((f"matrix [rad s/m] of {axis}", cell, cell, cell) for axis in "xyz"),
+        ("offset [s]", "0.00890 ± 0.00010", "", ""),
+    ]
 
 
 @pytest.mark.parametrize(
