@@ -7,9 +7,11 @@ import numpy as np
 
 from ahrs_service.diagnosis.bench import BenchResidual
 from ahrs_service.diagnosis.beside_truth import Truth, beside_truth
+from ahrs_service.diagnosis.chance import over_the_search
 from ahrs_service.diagnosis.explain import explanation
 from ahrs_service.diagnosis.flight import FlightResidual, is_flight
 from ahrs_service.diagnosis.holdout import free_run, held_out
+from ahrs_service.diagnosis.hypotheses import Step
 from ahrs_service.diagnosis.library import Library, Term, library_of
 from ahrs_service.diagnosis.locate import against_covariates, where_it_acts
 from ahrs_service.diagnosis.model import Model, Number, added_body, free_numbers
@@ -28,7 +30,7 @@ from ahrs_service.diagnosis.result import (
     Where,
 )
 from ahrs_service.diagnosis.screen import unseen
-from ahrs_service.diagnosis.search import Progress, Search, Step, search
+from ahrs_service.diagnosis.search import Progress, Search, search
 from ahrs_service.diagnosis.whiteness import whiteness
 from ahrs_service.records import Floats
 
@@ -108,7 +110,9 @@ def diagnose(
         _finding(residual, found, step, place) for place, step in enumerate(found.steps)
     )
     left = tuple(
-        Unexplained(_channels(name), _covariates(name), (), math.exp(-min(value, 700.0)))
+        Unexplained(
+            _channels(name), _covariates(found.telling[name]), (), math.exp(-min(value, 700.0))
+        )
         for name, value in found.unknown.items()
     )
     verdict = "unexplained" if left else "explained" if findings else "no_mismatch"
@@ -137,10 +141,13 @@ def _channels(name: str) -> str:
     return triad if triad in ("gyro", "accel") else CHANNELS[0]
 
 
-def _covariates(name: str) -> tuple[str, ...]:
-    covariate = name.split(" ", 1)[1]
-    is_angle = covariate in ("roll", "pitch", "heading")
-    return (covariate, "attitude") if is_angle else (covariate,)
+def _covariates(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the covariates with the general word after those that are angles."""
+    words = []
+    for name in names:
+        is_angle = name in ("roll", "pitch", "heading")
+        words += [name, "attitude"] if is_angle else [name]
+    return tuple(dict.fromkeys(words))
 
 
 def _series(residual: Residual, model: Model) -> ResidualSeries:
@@ -164,7 +171,7 @@ def _finding(residual: Residual, found: Search, step: Step, place: int) -> Findi
         axes=axes,
         where=where,
         parameters=parameters,
-        p_value=math.exp(-min(step.surprise, 700.0)),
+        p_value=over_the_search(step.surprise, found.hypotheses),
         log_evidence=step.gain,
         rival=None if rival is None else Rival(*rival),
         holdout=held,

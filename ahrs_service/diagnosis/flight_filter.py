@@ -82,11 +82,18 @@ def _forget(p: Floats, first: int, variance: float) -> None:
 
 @kernel
 def _innovate(
-    p: Floats, frame: Floats, white: Floats, g: Floats, s: Floats, root: Floats, variances: Floats
+    p: Floats,
+    frame: Floats,
+    missing: Floats,
+    white: Floats,
+    g: Floats,
+    s: Floats,
+    root: Floats,
+    variances: Floats,
 ) -> None:
     """Write S = H P H' + R = L L' as `root`, `g` [6, 18] = L^-1 H P, and L's squared diagonal.
 
-    `root` [6, 6] holds L below its diagonal and 1 / L on it.
+    `root` [6, 6] holds L below its diagonal and 1 / L on it; rows of what is `missing` [2] are 0.
     """
     for m in range(3):
         f0, f1, f2 = frame[m, 0], frame[m, 1], frame[m, 2]
@@ -114,6 +121,10 @@ def _innovate(
             total -= root[m, j] * root[m, j]
         variances[m] = total
         root[m, m] = 1.0 / math.sqrt(total)
+        if missing[m // 3] != 0.0:
+            variances[m] = 1.0
+            for j in range(m + 1):
+                root[m, j] = 0.0
         for k in range(STATES):
             g[m, k] *= root[m, m]
 
@@ -124,9 +135,9 @@ def flight_gains(
     tilt: Floats,
     frame: Floats,
     begins: Floats,
-    missing: Floats,
     step_s: Floats,
     keep: Floats,
+    missing: Floats,
     drive: Floats,
     start: Floats,
     white: Floats,
@@ -146,7 +157,7 @@ def flight_gains(
     the row, of length `step_s` [N]; `frame` [N, 3, 3] turns e into the rows' axes. `keep` [N, 4] of
     e, b, v, c; `drive` [N, 6], `start` [6] variances added in the step and at first, of the six
     state vectors; `white` [N, 6] of the measurements. Rows with `begins` not 0 start from unknown
-    angle and velocity, rows with `missing` not 0 give no innovation.
+    angle and velocity; where `missing` [N, 2] is not 0 angle or velocity tell nothing.
 
     `gains` [N, 18, 6] take whitened innovations to the states, `roots` [N, 6, 6] as `_innovate`
     writes them; `variances` [N, 6] of the innovations in turn, 1 where there is none.
@@ -164,11 +175,7 @@ def flight_gains(
         if begins[n] != 0.0:
             _forget(p, 3, start[1])
             _forget(p, 12, start[4])
-        if missing[n] != 0.0:
-            for m in range(6):
-                variances[n, m] = 1.0
-            continue
-        _innovate(p, frame[n], white[n], g, s, roots[n], variances[n])
+        _innovate(p, frame[n], missing[n], white[n], g, s, roots[n], variances[n])
         for i in range(STATES):
             g0, g1, g2, g3, g4, g5 = g[0, i], g[1, i], g[2, i], g[3, i], g[4, i], g[5, i]
             for k in range(STATES):
@@ -250,7 +257,6 @@ def whiten_flight(
     tilt: Floats,
     frame: Floats,
     begins: Floats,
-    missing: Floats,
     step_s: Floats,
     keep: Floats,
     gains: Floats,
@@ -274,11 +280,6 @@ def whiten_flight(
                     for k in range(lanes):
                         x[3 + i, k] = 0.0
                         x[12 + i, k] = 0.0
-            if missing[n] != 0.0:
-                for m in range(6):
-                    for k in range(used):
-                        out[n, m, first + k] = 0.0
-                continue
             for m in range(6):
                 for k in range(used):
                     x[18 + m, k] = rows[n, m, first + k]

@@ -20,6 +20,7 @@ Places = npt.NDArray[np.intp]
 _BLOCKS: Final = 6
 _GAP_S: Final = 5.0
 _SLOW_HZ: Final = 0.05
+_LEAST_SIZE: Final = 1e-12
 _FREE_RUN_S: Final = 60.0
 _FREE_RUN_STARTS: Final = 200
 
@@ -53,10 +54,26 @@ def _white(residual: Residual, model: Model, base: Floats, rows: Floats) -> Floa
     return white
 
 
-def _fitted(white: Floats, rows: Places) -> Floats:
+def _fitted(white: Floats, rows: Places, prior: Floats) -> Floats:
     part = white[rows].reshape(-1, white.shape[2])
-    gram = part.T @ part
+    gram = part.T @ part + prior
     return solve(gram[:-1, :-1], gram[:-1, -1])[0]
+
+
+def _sizes(model: Model) -> Floats:
+    """Return the prior [B+1, B+1] of a model's numbers: as large as the whole recording has them.
+
+    About nil the linear ones, about what they are the forms. Blocks that tell nothing of a number
+    (of a warm-up, all but the first) then predict nothing of it, instead of anything.
+    """
+    prior, numbers = np.zeros_like(model.prior), free_numbers(model.terms)
+    last = len(prior) - 1
+    for place, number in enumerate(numbers, start=last - len(numbers)):
+        values = np.asarray(model.terms[number.term].values[number.parameter.name])
+        now = 0.0 if number.is_form else float(values[number.index])
+        row = np.array([1.0, -now]) / max(float(np.sqrt(np.mean(values**2))), _LEAST_SIZE)
+        prior[np.ix_([place, last], [place, last])] += np.outer(row, row)
+    return prior
 
 
 def _loss(white: Floats, rows: Places, coefficients: Floats) -> float:
@@ -82,11 +99,15 @@ def held_out(
     white_after = _white(residual, after, after.base, after.misfit)
     left_before = residual.body - added_body(residual, before.terms)
     left_after = residual.body - added_body(residual, after.terms)
+    prior_before, prior_after = _sizes(before), _sizes(after)
     gain = 0.0
     for test, train in _folds(residual):
         if not len(test) or not len(train):
             continue
-        short, long = _fitted(white_before, train), _fitted(white_after, train)
+        short, long = (
+            _fitted(white, train, prior)
+            for white, prior in ((white_before, prior_before), (white_after, prior_after))
+        )
         gain += _loss(white_before, test, short) - _loss(white_after, test, long)
         left_before[test] -= short[:count]
         left_after[test] -= long[:count] + body_slopes[test] @ long[first:]
@@ -104,7 +125,8 @@ def held_out(
 
 def _bias(model: Model, residual: Residual) -> Floats:
     white = _white(residual, model, model.base, model.misfit)
-    return _fitted(white, np.flatnonzero(residual.missing == 0.0))[:6]
+    there = np.flatnonzero(residual.missing == 0.0)
+    return _fitted(white, there, np.zeros_like(model.prior))[:6]
 
 
 def free_run(residual: Residual, before: Model, after: Model) -> FreeRun | None:

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-from scipy.interpolate import BSpline
 from scipy.ndimage import gaussian_filter1d
 
 from ahrs_service.diagnosis.residual import Residual
@@ -13,7 +12,6 @@ from ahrs_service.effects.base import Addition, Columns, Effect, Parameter
 from ahrs_service.effects.catalogue import EFFECTS
 from ahrs_service.records import Floats
 
-_KNOTS: Final = 5
 _REGIME_S: Final = 0.3
 _LEAST_SPREAD: Final = 1e-6
 _LIMITS: Final = (0.97, 1.0, 1.03)
@@ -48,6 +46,19 @@ class Candidate:
     columns: slice
     freedom: int
     is_whole: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Smooth:
+    """An unknown dependence: a `basis` [N, M] of which the first `orders` columns are each a form.
+
+    A form of fewer numbers needs less to be believed, and names what is simple.
+    """
+
+    covariate: str
+    basis: Floats
+    orders: tuple[int, ...]
+    triads: tuple[str, ...] = ("gyro", "accel")
 
 
 @dataclass(slots=True)
@@ -176,16 +187,19 @@ def library_of(residual: Residual, names: Sequence[str] = tuple(EFFECTS)) -> Lib
             )
             rows += added
             used += len(added)
-    for covariate, basis in unknown_forms(residual.columns).items():
-        for triad in ("gyro", "accel"):
+    for smooth in unknown_forms(residual.columns):
+        for triad in smooth.triads:
+            name = f"{triad} {smooth.covariate}"
+            for order in smooth.orders:
+                place = slice(used, used + 3 * order)
+                library.candidates.append(
+                    Candidate(name, None, smooth.covariate, {}, place, 3 * order)
+                )
             added = [
                 residual.project(_on_axis(triad, axis, column))
+                for column in smooth.basis.T
                 for axis in range(3)
-                for column in basis.T
             ]
-            place = slice(used, used + len(added))
-            name = f"{triad} {covariate}"
-            library.candidates.append(Candidate(name, None, covariate, {}, place, len(added)))
             rows += added
             used += len(added)
     library.rows = np.stack(rows, axis=2)
@@ -232,26 +246,46 @@ def regimes(columns: Columns) -> dict[str, Floats]:
     }
 
 
-def unknown_forms(columns: Columns) -> dict[str, Floats]:
-    """Return smooth forms [N, 4] of each covariate: cubic splines, of the heading two harmonics."""
-    forms = {}
+def unknown_forms(columns: Columns) -> list[Smooth]:
+    """Return smooth forms of each covariate: polynomials, cubic splines, two harmonics of heading.
+
+    And of rate and specific force as vectors what is quadratic in their components, which no
+    function of their size or of attitude angles is.
+    """
+    forms = []
     for name, values in regimes(columns).items():
         low, high = np.quantile(values, [0.002, 0.998])
         if not high > low:
             continue
         if name == "heading":
             turns = np.array([1.0, 2.0]) * values[:, None]
-            forms[name] = np.hstack([np.sin(turns), np.cos(turns)])
-            continue
-        share = np.clip((values - low) / (high - low), 0.0, 1.0)
-        forms[name] = spline_basis(share)
+            basis = np.stack([np.sin(turns), np.cos(turns)], axis=2).reshape(-1, 4)
+            forms.append(Smooth(name, basis, (4,)))
+        else:
+            share = np.clip((values - low) / (high - low), 0.0, 1.0)
+            forms.append(Smooth(name, spline_basis(share), (1, 2, 4)))
+    force, rate = columns.force_m_s2, columns.rate_rad_s
+    forms.append(Smooth("acceleration", quadratic(force), (9,)))
+    turning = np.hstack([quadratic(rate), columns.angular_acceleration_rad_s2])
+    forms.append(Smooth("rate", turning, (12,)))
     return forms
 
 
+def quadratic(vector: Floats) -> Floats:
+    """Return the components [N, 3] and their products [N, 9], each over its largest."""
+    first, second = np.triu_indices(3)
+    terms = np.hstack([vector, vector[:, first] * vector[:, second]])
+    return np.asarray(terms / np.maximum(np.abs(terms).max(axis=0), 1e-300))
+
+
 def spline_basis(share: Floats) -> Floats:
-    """Return cubic B-splines [N, 4] over 0..1 that with a constant span all of five."""
-    inner = np.linspace(0.0, 1.0, _KNOTS - 2)
-    knots = np.concatenate([np.zeros(3), inner, np.ones(3)])
-    count = len(knots) - 4
-    basis = np.asarray(BSpline.design_matrix(np.clip(share, 0.0, 1.0 - 1e-12), knots, 3).toarray())
-    return basis[:, 1:count]
+    """Return a basis [N, 4] over 0..1 of the cubic splines with a knot in the middle, less 1.
+
+    The first column is a straight line, the first two a parabola; orthogonal on these samples.
+    """
+    powers = np.vander(share, 4, increasing=True)
+    bent = np.maximum(share - 0.5, 0.0) ** 3
+    basis, triangle = np.linalg.qr(np.hstack([powers, bent[:, None]]))
+    # Of a covariate of few values there are fewer forms; the rest would be rounding.
+    lives = np.abs(np.diag(triangle)) > _LEAST_SPREAD * np.sqrt(len(share))
+    return np.asarray((basis * lives)[:, 1:] * np.sqrt(len(share)))

@@ -30,7 +30,7 @@ _DYNAMIC: Final = ("low_pass", "time_offset", "clock_drift", "mounting_rotation"
 class Model:
     """Terms and unknown columns fitted to a residual; each is equal to itself alone.
 
-    `unknown` names of smooth dependences whose rows are `unknown_rows` [N, 6, U];
+    `unknown` [U] the smooth dependence that each column of `unknown_rows` [N, 6, U] is of;
     `log_likelihood` at its maximum; `covariance` [P, P] of the terms' free numbers in the order
     of `free_numbers`; `misfit` [N, 6] the rows minus what the terms add, `base` [N, 6, B] bias,
     unknown and the terms' derivatives, `prior` [B+1, B+1] of their coefficients (see `_prior`).
@@ -238,14 +238,23 @@ def settle(
 def refit(residual: Residual, model: Model, turns: int = 2) -> Model:
     """Fit numbers and noise in turn."""
     for _ in range(turns):
-        noise = fit_noise(
-            residual, model.base, model.misfit, model.prior, model.noise, _REFIT_TURNS
-        )
+        start = _better_start(residual, model)
+        noise = fit_noise(residual, model.base, model.misfit, model.prior, start, _REFIT_TURNS)
         before = model.log_likelihood
         model = settle(residual, model.terms, noise, model.unknown, model.unknown_rows)
         if model.log_likelihood - before < 0.3:
             break
     return model
+
+
+def _better_start(residual: Residual, model: Model) -> Noise:
+    """Return the model's noise, or the first guess where that is now the likelier of both.
+
+    A large effect not yet in the model inflates its noise beyond the way back.
+    """
+    first = residual.first_noise()
+    afresh = fit(residual, first, model.base, model.misfit, model.prior)
+    return first if afresh.log_likelihood > model.log_likelihood else model.noise
 
 
 def bare(residual: Residual) -> Model:

@@ -71,11 +71,11 @@ def flight_covariance(count, step_s, keep, drive, start, white):
     return total
 
 
-def whitened_flight(rows, path, steps, drive, start, white):
+def whitened_flight(rows, path, steps, missing, drive, start, white):
     count = len(rows)
     gains, roots = np.empty((count, STATES, 6)), np.empty((count, 6, 6))
     variances, out = np.empty((count, 6)), np.empty(rows.shape)
-    flight_gains(*path, *steps, drive, start, white, gains, roots, variances)
+    flight_gains(*path, *steps, missing, drive, start, white, gains, roots, variances)
     whiten_flight(rows, *path, *steps, gains, roots, out)
     return out, np.log(variances)
 
@@ -91,11 +91,12 @@ def test_a_flight_has_the_likelihood_of_its_covariance(columns):
     rows = rng.normal(size=(count, 6, columns))
     unturned = np.broadcast_to(np.eye(3), (count, 3, 3)).copy()
     nothing = np.zeros((count, 3, 3))
-    none = np.zeros(count)
+    none, both = np.zeros(count), np.zeros((count, 2))
     out, log_variance = whitened_flight(
         rows,
-        (unturned, nothing, unturned, none, none),
+        (unturned, nothing, unturned, none),
         (np.full(count, step_s), np.tile(keep, (count, 1))),
+        both,
         np.tile(drive, (count, 1)),
         start,
         np.tile(np.repeat(white, 3), (count, 1)),
@@ -125,13 +126,13 @@ def test_a_turning_flight_with_gaps_is_whitened_as_by_dense_matrices():
     count = 15
     turn, frame = (np.linalg.qr(rng.normal(size=(count, 3, 3)))[0] for _ in range(2))
     tilt, rows = rng.normal(size=(count, 3, 3)), rng.normal(size=(count, 6, 9))
-    begins, missing = np.zeros(count), np.zeros(count)
-    missing[6:8] = begins[8] = 1.0
+    begins, missing = np.zeros(count), np.zeros((count, 2))
+    missing[6:8] = begins[8] = missing[3, 0] = missing[11:13, 1] = 1.0
     step_s, keep = rng.uniform(0.05, 0.2, count), rng.uniform(0.5, 1.0, (count, 4))
     drive, white = rng.uniform(0.1, 1.0, (count, 6)), rng.uniform(0.1, 1.0, (count, 6))
     start = rng.uniform(0.5, 2.0, 6)
-    path = turn, tilt, frame, begins, missing
-    out, log_variance = whitened_flight(rows, path, (step_s, keep), drive, start, white)
+    path, steps = (turn, tilt, frame, begins), (step_s, keep)
+    out, log_variance = whitened_flight(rows, path, steps, missing, drive, start, white)
     p, x = np.diag(np.repeat(start, 3)), np.zeros((18, 9))
     for n in range(count):
         f, h = model_matrices(turn[n], tilt[n], frame[n], keep[n], step_s[n])
@@ -142,16 +143,17 @@ def test_a_turning_flight_with_gaps_is_whitened_as_by_dense_matrices():
                 part = slice(first, first + 3)
                 p[part], p[:, part], x[part] = 0.0, 0.0, 0.0
                 p[part, part] = variance * np.eye(3)
-        if missing[n]:
-            assert not out[n].any()
-            assert not log_variance[n].any()
-            continue
-        s = h @ p @ h.T + np.diag(white[n])
+        seen = np.repeat(missing[n] == 0.0, 3)
+        assert not out[n, ~seen].any()
+        assert not log_variance[n, ~seen].any()
+        h, innovation = h[seen], (rows[n] - h @ x)[seen]
+        s = h @ p @ h.T + np.diag(white[n, seen])
         root = np.linalg.cholesky(s)
-        np.testing.assert_allclose(out[n], np.linalg.solve(root, rows[n] - h @ x), rtol=1e-8)
-        np.testing.assert_allclose(log_variance[n], 2.0 * np.log(np.diag(root)), rtol=1e-8)
+        np.testing.assert_allclose(out[n, seen], np.linalg.solve(root, innovation), rtol=1e-8)
+        variances = 2.0 * np.log(np.diag(root))
+        np.testing.assert_allclose(log_variance[n, seen], variances, rtol=1e-8)
         gain = np.linalg.solve(s, h @ p).T
-        x = x + gain @ (rows[n] - h @ x)
+        x = x + gain @ innovation
         p = p - gain @ h @ p
 
 

@@ -31,3 +31,5 @@ def test_what_is_gathered_is_the_trapezoid_sum_in_earth_axes():
     gathered = np.vstack([np.zeros((1, 3)), np.cumsum(pieces, axis=0)])
     found = gathered_means(np.stack(axes, axis=2).copy(), added, steps_s, WINDOW)
     np.testing.assert_allclose(found, by_reshape(gathered), atol=1e-13)
+    found = gathered_means(np.stack(axes, axis=2).copy(), added, steps_s, WINDOW, 3)
+    np.testing.assert_allclose(found, by_reshape(gathered[::3]), atol=1e-13)
