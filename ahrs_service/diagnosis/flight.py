@@ -37,6 +37,7 @@ _STEP_S: Final = 0.1
 _MOST_ROWS: Final = 8000
 _UNKNOWN_ANGLE: Final = 1.0
 _UNKNOWN_SPEED: Final = 100.0
+_NEVER_SEEN: Final = 1e12
 _SIZES: Final = 50.0
 _WANDERS: Final = 1000.0
 _LONGEST_ERROR: Final = float(np.log(60.0))
@@ -97,7 +98,7 @@ class FlightResidual:
         # Whatever was gathered while the attitude was wrong is no longer known after it.
         self._begins[1:] = np.maximum(self._begins[1:], self.missing[:-1])
         self._instants: Instants | None = None
-        self._unseen = np.stack([self.missing, self.missing], axis=1)
+        self._unseen = np.zeros(self.rows.shape, np.bool_)
         if len(path.velocity):
             self._measure(path)
         self._turn, self._tilt, self._path = self._paths(path.speeds)
@@ -128,9 +129,8 @@ class FlightResidual:
         increments[jumped] = 0.0
         self.rows[:, _ACCEL] = instants.put(_sum(increments))
         self._begins[instants.rows[1:][jumped]] = 1.0
-        seen = np.zeros(instants.count)
-        seen[instants.rows] = 1.0
-        self._unseen[:, 1] = np.maximum(self.missing, 1.0 - seen)
+        self._unseen[:, _ACCEL] = True
+        self._unseen[instants.rows, _ACCEL] = False
         self._instants = instants
 
     def _windows(self, values: Floats) -> Floats:
@@ -270,6 +270,7 @@ class FlightResidual:
         white[:, :3] -= mean_of_walk * (usual[0] + usual[1])
         if self._instants is None:
             white[:, 3:] -= mean_of_walk * (usual[3] + usual[4])
+        white[self._unseen] = _NEVER_SEEN
         out, log_variance = np.empty(rows.shape), np.empty(rows.shape[:2])
         whiten_flight(
             np.ascontiguousarray(rows),
@@ -277,7 +278,7 @@ class FlightResidual:
             self._tilt @ self._turn if self._is_error_in_body else self._tilt,
             self._path if self._is_error_in_body else self._earth_axes(),
             self._begins,
-            self._unseen,
+            self.missing,
             self._steps_s,
             keep,
             drive,
@@ -286,6 +287,7 @@ class FlightResidual:
             out,
             log_variance,
         )
+        out[self._unseen] = log_variance[self._unseen] = 0.0
         return out, log_variance
 
 

@@ -124,9 +124,9 @@ def whiten_flight(
     `turn` [N, 3, 3] R and `tilt` [N, 3, 3] the integral of -[f x], both of the step that ends at
     the row, of length `step_s` [N]. `keep` [N, 4] of e, b, v, c; `drive` [N, 6], `start` [6]
     variances added in the step and at first, of the six state vectors; `white` [N, 6] of the
-    measurements. Rows with `begins` not 0 start from unknown angle and velocity; where `missing`
-    [N, 2] is not 0 there is no innovation of angle, or of velocity. `log_variance` [N, 6] of the
-    innovations, 0 where there is none.
+    measurements. Rows with `begins` not 0 start from unknown angle and velocity, rows with
+    `missing` not 0 give no innovation. `log_variance` [N, 6] of the innovations, 0 where there is
+    none.
     """
     count, columns = rows.shape[0], rows.shape[2]
     p = np.zeros((STATES, STATES))
@@ -143,7 +143,7 @@ def whiten_flight(
             _forget(p, mean, 3, start[1])
             _forget(p, mean, 12, start[4])
         for m in range(6):
-            if missing[n, m // 3] != 0.0:
+            if missing[n] != 0.0:
                 for k in range(columns):
                     out[n, m, k] = 0.0
                 log_variance[n, m] = 0.0

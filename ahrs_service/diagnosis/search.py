@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from ahrs_service.diagnosis.agreement import scatter_of_term, scatter_of_unknown
 from ahrs_service.diagnosis.holdout import held_out
 from ahrs_service.diagnosis.library import Candidate, Library, Term, limits
 from ahrs_service.diagnosis.model import (
@@ -73,7 +74,8 @@ class Search:
 
     `steps` one per term of `model`, in its order, each with gain and surprise against the model
     without it; `alike` per term the ids that explain as much; `rivals` per term the next best
-    with its gain; `unknown` surprise per unknown dependence left or taken.
+    with its gain; `unknown` surprise per unknown dependence left or taken; `scatter` per term by
+    how much its variances are larger than the noise says, see diagnosis.agreement.
     """
 
     bare: Model
@@ -82,6 +84,7 @@ class Search:
     alike: tuple[tuple[str, ...], ...]
     rivals: tuple[tuple[str, float] | None, ...]
     unknown: dict[str, float]
+    scatter: tuple[float, ...]
 
 
 def best_forms(library: Library, gains: Gains) -> list[tuple[Candidate, float]]:
@@ -208,7 +211,9 @@ def search(residual: Residual, library: Library, progress: Progress | None = Non
         tell(0.25 + 0.1 * (turn + 1))
     model, taken, unknown = _pruned(residual, model, taken, unknown)
     model, taken = _confirmed(residual, model, taken)
+    model, taken, unknown = _agreed(residual, model, taken, unknown)
     tell(0.8)
+    scatter = tuple(scatter_of_term(residual, model, place) for place in range(len(taken)))
     steps, alike, rivals = [], [], []
     for place, step in enumerate(taken):
         shorter = _without(residual, model, place)
@@ -218,7 +223,7 @@ def search(residual: Residual, library: Library, progress: Progress | None = Non
         same, rival = _alike(residual, library, shorter, steps[-1])
         alike.append(same)
         rivals.append(rival)
-    return Search(empty, model, tuple(steps), tuple(alike), tuple(rivals), unknown)
+    return Search(empty, model, tuple(steps), tuple(alike), tuple(rivals), unknown, scatter)
 
 
 def _overlap(model: Model, place: int) -> float:
@@ -297,6 +302,28 @@ def _confirmed(residual: Residual, model: Model, taken: list[Step]) -> tuple[Mod
         else:
             place += 1
     return model, taken
+
+
+def _agreed(
+    residual: Residual, model: Model, taken: list[Step], unknown: dict[str, float]
+) -> tuple[Model, list[Step], dict[str, float]]:
+    """Leave out what parts of the recording contradict each other on, the last found first."""
+    for name in reversed(model.unknown):
+        ratio = scatter_of_unknown(residual, model, model.unknown.index(name))
+        if ratio > 1.0:
+            shorter = _without_unknown(residual, model, name)
+            gain = gain_between(residual, shorter, model)
+            if surprise(gain / ratio, _columns_of(model, name)) < UNKNOWN_ALARM:
+                model = shorter
+                unknown = {key: value for key, value in unknown.items() if key != name}
+    for place in reversed(range(len(taken))):
+        ratio = scatter_of_term(residual, model, place)
+        if ratio > 1.0:
+            shorter = _without(residual, model, place)
+            gain = gain_between(residual, shorter, model)
+            if surprise(gain / ratio, taken[place].candidate.freedom) < ALARM:
+                model, taken = shorter, taken[:place] + taken[place + 1 :]
+    return model, taken, unknown
 
 
 def _columns_of(model: Model, name: str) -> int:

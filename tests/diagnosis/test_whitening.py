@@ -81,12 +81,12 @@ def test_a_flight_has_the_likelihood_of_its_covariance():
     out, log_variance = np.empty(rows.shape), np.empty(rows.shape[:2])
     unturned = np.broadcast_to(np.eye(3), (count, 3, 3)).copy()
     nothing = np.zeros((count, 3, 3))
-    none, both = np.zeros(count), np.zeros((count, 2))
+    none = np.zeros(count)
     whites = np.tile(np.repeat(white, 3), (count, 1))
     steps_s, keeps, drives = (np.tile(one, (count, 1)) for one in (step_s, keep, drive))
     steps_s = steps_s[:, 0]
     whiten_flight(
-        rows, unturned, nothing, unturned, none, both, steps_s, keeps, drives, start, whites, out,
+        rows, unturned, nothing, unturned, none, none, steps_s, keeps, drives, start, whites, out,
         log_variance,
     )  # fmt: skip
     covariance = flight_covariance(count, step_s, keep, drive, start, white)
