@@ -29,7 +29,7 @@ from ahrs_service.diagnosis.result import (
     Unexplained,
     Where,
 )
-from ahrs_service.diagnosis.screen import unseen
+from ahrs_service.diagnosis.screen import surprise, unseen
 from ahrs_service.diagnosis.search import Progress, Search, search
 from ahrs_service.diagnosis.whiteness import whiteness
 from ahrs_service.records import Floats
@@ -157,8 +157,8 @@ def _series(residual: Residual, model: Model) -> ResidualSeries:
 
 def _finding(residual: Residual, found: Search, step: Step, place: int) -> Finding:
     term = found.model.terms[place]
-    parameters, axes = _parameters(found.model, place)
-    rival = found.rivals[place]
+    parameters, axes = _parameters(found.model, place, found.scatter[place])
+    scatter, rival = found.scatter[place], found.rivals[place]
     alike = found.alike[place]
     held = held_out(residual, step.model, found.model, term.effect.triad)
     size = _sizes(residual, term)
@@ -171,7 +171,9 @@ def _finding(residual: Residual, found: Search, step: Step, place: int) -> Findi
         axes=axes,
         where=where,
         parameters=parameters,
-        p_value=over_the_search(step.surprise, found.hypotheses),
+        p_value=over_the_search(
+            surprise(step.gain / scatter, step.candidate.freedom), found.hypotheses
+        ),
         log_evidence=step.gain,
         rival=None if rival is None else Rival(*rival),
         holdout=held,
@@ -186,12 +188,17 @@ def _sizes(residual: Residual, term: Term) -> Floats:
     return np.asarray(np.std(added, axis=0))
 
 
-def _parameters(model: Model, place: int) -> tuple[dict[str, Estimated], tuple[str, ...]]:
-    """Return the parameters of a term with their sigmas, and the axes that stand out."""
+def _parameters(
+    model: Model, place: int, scatter: float
+) -> tuple[dict[str, Estimated], tuple[str, ...]]:
+    """Return the parameters of a term with their sigmas, and the axes that stand out.
+
+    Variances are larger by `scatter` than the noise says.
+    """
     term = model.terms[place]
     stds = {p.name: np.zeros(p.shape) for p in term.effect.parameters}
     numbers = free_numbers(model.terms)
-    variances = np.maximum(np.diag(model.covariance), 0.0)
+    variances = scatter * np.maximum(np.diag(model.covariance), 0.0)
     axes: set[int] = set()
     for number, variance in zip(numbers, variances, strict=True):
         if number.term == place:

@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from ahrs_service.diagnosis.agreement import scatter_of_term, scatter_of_unknown
 from ahrs_service.diagnosis.chance import alarm, hypotheses, maxima
 from ahrs_service.diagnosis.form import as_telling, best_unknown, is_clearer, unknown_instead
 from ahrs_service.diagnosis.holdout import held_out
@@ -71,7 +72,9 @@ class Search:
     without it; `alike` per term the ids that explain as much; `rivals` per term the next best
     with its gain; `unknown` surprise per unknown dependence left or taken; `telling` per unknown
     dependence the covariates that explain as much, its own first; `hypotheses` how many
-    independent ones were looked at.
+    independent ones were looked at;
+    `scatter` per term by how much its variances are larger than the noise says, see
+    diagnosis.agreement.
     """
 
     bare: Model
@@ -82,6 +85,7 @@ class Search:
     unknown: dict[str, float]
     telling: dict[str, tuple[str, ...]]
     hypotheses: float
+    scatter: tuple[float, ...]
 
 
 def _named(ranking: list[tuple[Candidate, float]], model: Model) -> list[tuple[Candidate, float]]:
@@ -167,11 +171,13 @@ def search(residual: Residual, library: Library, progress: Progress | None = Non
     model, taken, unknown = _pruned(residual, model, taken, unknown)
     model, taken, unknown = _reformed(residual, library, model, taken, unknown)
     model, taken = _confirmed(residual, model, taken)
+    model, taken, unknown = _agreed(residual, model, taken, unknown)
     tell(0.8)
     telling = {
         name: as_telling(residual, library, without_unknown(residual, model, name), name)
         for name in unknown
     }
+    scatter = tuple(scatter_of_term(residual, model, place) for place in range(len(taken)))
     steps, alike, rivals = [], [], []
     for place, step in enumerate(taken):
         shorter = without(residual, model, place)
@@ -181,7 +187,9 @@ def search(residual: Residual, library: Library, progress: Progress | None = Non
         same, rival = _alike(residual, library, shorter, steps[-1])
         alike.append(same)
         rivals.append(rival)
-    return Search(empty, model, tuple(steps), tuple(alike), tuple(rivals), unknown, telling, count)
+    return Search(
+        empty, model, tuple(steps), tuple(alike), tuple(rivals), unknown, telling, count, scatter
+    )
 
 
 def _overlap(model: Model, place: int) -> float:
@@ -283,6 +291,28 @@ def _confirmed(residual: Residual, model: Model, taken: list[Step]) -> tuple[Mod
         else:
             place += 1
     return model, taken
+
+
+def _agreed(
+    residual: Residual, model: Model, taken: list[Step], unknown: dict[str, float]
+) -> tuple[Model, list[Step], dict[str, float]]:
+    """Leave out what parts of the recording contradict each other on, the last found first."""
+    for name in reversed(tuple(unknown)):
+        ratio = scatter_of_unknown(residual, model, name)
+        if ratio > 1.0:
+            shorter = without_unknown(residual, model, name)
+            gain = gain_between(residual, shorter, model)
+            if surprise(gain / ratio, model.unknown.count(name)) < UNKNOWN_ALARM:
+                model = shorter
+                unknown = {key: value for key, value in unknown.items() if key != name}
+    for place in reversed(range(len(taken))):
+        ratio = scatter_of_term(residual, model, place)
+        if ratio > 1.0:
+            shorter = without(residual, model, place)
+            gain = gain_between(residual, shorter, model)
+            if surprise(gain / ratio, taken[place].candidate.freedom) < ALARM:
+                model, taken = shorter, taken[:place] + taken[place + 1 :]
+    return model, taken, unknown
 
 
 def _alike(
