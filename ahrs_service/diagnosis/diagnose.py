@@ -31,6 +31,7 @@ from ahrs_service.diagnosis.result import (
 )
 from ahrs_service.diagnosis.screen import surprise, unseen
 from ahrs_service.diagnosis.search import Progress, Search, search
+from ahrs_service.diagnosis.uncertainty import variances
 from ahrs_service.diagnosis.whiteness import whiteness
 from ahrs_service.records import Floats
 
@@ -106,8 +107,9 @@ def diagnose(
     found = search(residual, library, lambda share: bar.enter(_of_search(share), _of_search(1.0)))
     bar.enter(_of_search(1.0), _JUDGED)
     model = found.model
+    known = variances(residual, model)
     findings = tuple(
-        _finding(residual, found, step, place) for place, step in enumerate(found.steps)
+        _finding(residual, found, step, place, known) for place, step in enumerate(found.steps)
     )
     left = tuple(
         Unexplained(
@@ -155,9 +157,9 @@ def _series(residual: Residual, model: Model) -> ResidualSeries:
     return ResidualSeries(residual.time_s, before, before - added_body(residual, model.terms))
 
 
-def _finding(residual: Residual, found: Search, step: Step, place: int) -> Finding:
+def _finding(residual: Residual, found: Search, step: Step, place: int, known: Floats) -> Finding:
     term = found.model.terms[place]
-    parameters, axes = _parameters(found.model, place, found.scatter[place])
+    parameters, axes = _parameters(found.model, place, known)
     scatter, rival = found.scatter[place], found.rivals[place]
     alike = found.alike[place]
     held = held_out(residual, step.model, found.model, term.effect.triad)
@@ -189,18 +191,14 @@ def _sizes(residual: Residual, term: Term) -> Floats:
 
 
 def _parameters(
-    model: Model, place: int, scatter: float
+    model: Model, place: int, known: Floats
 ) -> tuple[dict[str, Estimated], tuple[str, ...]]:
-    """Return the parameters of a term with their sigmas, and the axes that stand out.
-
-    Variances are larger by `scatter` than the noise says.
-    """
+    """Return a term's parameters with their sigmas by `known` variances; axes that stand out."""
     term = model.terms[place]
     stds = {p.name: np.zeros(p.shape) for p in term.effect.parameters}
     numbers = free_numbers(model.terms)
-    variances = scatter * np.maximum(np.diag(model.covariance), 0.0)
     axes: set[int] = set()
-    for number, variance in zip(numbers, variances, strict=True):
+    for number, variance in zip(numbers, known, strict=True):
         if number.term == place:
             stds[number.parameter.name][number.index] = math.sqrt(variance)
             axes |= _axis(term, number, math.sqrt(variance))
