@@ -13,6 +13,7 @@ import numpy as np
 
 from ahrs_service.diagnosis.agreement import scatter_of_term, scatter_of_unknown
 from ahrs_service.diagnosis.chance import alarm, hypotheses, maxima
+from ahrs_service.diagnosis.classes import ALIKE, SHARE_OF_MAIN, alike
 from ahrs_service.diagnosis.form import as_telling, best_unknown, is_clearer, unknown_instead
 from ahrs_service.diagnosis.holdout import held_out
 from ahrs_service.diagnosis.hypotheses import (
@@ -40,27 +41,22 @@ ALARM: Final = alarm(20.0)
 """Surprise [nats] from which a hypothesis is believed: 7.6. By the bootstrap of the maximum
 (diagnosis.chance) a recording's library amounts to 14 to 27 independent hypotheses."""
 
-SHARE_OF_MAIN: Final = 0.004
-"""A further effect must gain this share of the first: so well are response and motion known."""
-
 UNKNOWN_ALARM: Final = 16.0
 """The same for a smooth unknown dependence: higher, because noise that goes with the motion (a
 jittered reference) raises these tests, of which there are twenty of twelve numbers each."""
-
-ALIKE: Final = 4.0
-"""Difference of surprise [nats] below which two hypotheses are not told apart: odds of 50."""
 
 _TRIED: Final = 5
 _CLOSE: Final = 0.6
 _MOST_STEPS: Final = 5
 _KEPT_SHARE: Final = 0.25
 _APART: Final = 0.15
-_ALIKE_SHARE: Final = 0.7
 _FREED: Final = 11.0
 """More surprise [nats] asked of a gain that is there only once the wander is fitted again: its size
 and time are badly known, and a smaller wander makes more of any slow regressor. Of 100 recordings
 of noise the largest were 17.2 and 15.1 so, wander that follows temperature, and 5.3 before."""
 _SHARE_OF_UNKNOWN: Final = 0.3
+_CONSTANT: Final = "imu_mounting_rotation"
+_SOME: Final = 1.5
 Progress = Callable[[float], None]
 
 
@@ -119,6 +115,15 @@ def _is_possible(library: Library, step: Step) -> bool:
     return False
 
 
+def _is_swallowed(candidate: Candidate, value: float) -> bool:
+    """Whether the noise of a model without it may have taken up what a candidate explains.
+
+    A turned mounting in flight is a constant attitude error in body axes, as the reference's own
+    is that lasts: only a fit with the noise parts them.
+    """
+    return candidate.name == _CONSTANT and value > _SOME
+
+
 def _best_named(
     residual: Residual,
     library: Library,
@@ -128,6 +133,7 @@ def _best_named(
 ) -> Step | None:
     """Return the most surprising effect: settled, then those in reach fitted with their noise."""
     ranking = [(c, value) for c, value in _named(forms, model) if value > 0.5 * least][:_TRIED]
+    ranking += [(c, v) for c, v in forms if _is_swallowed(c, v) and (c, v) not in ranking]
     if not ranking:
         return None
     steps = [extend(residual, library, model, c, has_noise=False) for c, _ in ranking]
@@ -137,7 +143,7 @@ def _best_named(
     fitted = [
         step_between(residual, model, step.candidate, refit(residual, step.model))
         for step in close
-        if step.surprise >= _CLOSE * top
+        if step.surprise >= _CLOSE * top or _is_swallowed(step.candidate, step.surprise)
     ]
     fitted = [step for step in fitted if _is_possible(library, step)]
     best = max(fitted, key=lambda step: step.surprise, default=None)
@@ -178,17 +184,17 @@ def search(residual: Residual, library: Library, progress: Progress | None = Non
         for name in unknown
     }
     scatter = tuple(scatter_of_term(residual, model, place) for place in range(len(taken)))
-    steps, alike, rivals = [], [], []
+    steps, classes, rivals = [], [], []
     for place, step in enumerate(taken):
         shorter = without(residual, model, place)
         gain = gain_between(residual, shorter, model)
         freedom = step.candidate.freedom
         steps.append(Step(step.candidate, shorter, gain, surprise(gain, freedom)))
-        same, rival = _alike(residual, library, shorter, steps[-1])
-        alike.append(same)
+        same, rival = alike(residual, library, shorter, model, place, steps[-1])
+        classes.append(same)
         rivals.append(rival)
     return Search(
-        empty, model, tuple(steps), tuple(alike), tuple(rivals), unknown, telling, count, scatter
+        empty, model, tuple(steps), tuple(classes), tuple(rivals), unknown, telling, count, scatter
     )
 
 
@@ -313,27 +319,3 @@ def _agreed(
             if surprise(gain / ratio, taken[place].candidate.freedom) < ALARM:
                 model, taken = shorter, taken[:place] + taken[place + 1 :]
     return model, taken, unknown
-
-
-def _alike(
-    residual: Residual, library: Library, shorter: Model, step: Step
-) -> tuple[tuple[str, ...], tuple[str, float] | None]:
-    """Return the ids that explain as much as a step's effect in its place, and the next best."""
-    gains = screen(residual, shorter.noise, library, shorter.base, shorter.misfit)
-    ranking = _named(best_forms(library, gains), shorter)
-    name = step.candidate.name
-    own = next((value for c, value in ranking if c.name == name), step.surprise)
-    others = [(c, v) for c, v in ranking if c.name != name and v > 0.4 * own][:_TRIED]
-    mine = extend(residual, library, shorter, step.candidate, has_noise=False)
-    same, rival = [], None
-    for candidate, _ in others:
-        other = extend(residual, library, shorter, candidate, has_noise=False)
-        if other.surprise > _ALIKE_SHARE * mine.surprise:
-            other = extend(residual, library, shorter, candidate, has_noise=True)
-        if rival is None or other.gain > rival[1]:
-            rival = (candidate.name, other.gain)
-        # Chance prefers the one with fewer numbers; the data do not, where both fit as well.
-        if max(other.surprise - step.surprise, other.gain - step.gain) > -ALIKE:
-            same.append((other.surprise, candidate.name))
-    same.sort(reverse=True)
-    return (name, *(identifier for _, identifier in same)), rival
