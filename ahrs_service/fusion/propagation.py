@@ -1,6 +1,6 @@
 """From sample to sample: attitude and velocity move at once, the covariance once per turn.
 
-A turn is about 100 ms long; between turns the integrals that the covariance needs are gathered,
+A turn is about 120 ms long; between turns the integrals that the covariance needs are gathered,
 so a fast IMU costs little more than a slow one.
 """
 
@@ -46,8 +46,8 @@ PROPAGATION_FIELDS: Final = [
 """Fields of the pipeline's state that this module keeps; the last two: what was corrected since
 the covariance last grew, and how far all was turned about down [rad]."""
 
-TURN_S: Final = 0.1
-"""Corrections 10 times a second follow what drifts over seconds; shorter turns gain nothing."""
+TURN_S: Final = 0.12
+"""Corrections 8 times a second follow what drifts over seconds; shorter turns gain nothing."""
 GAP_RATE_SIGMA_RAD_S: Final = 1.0
 """What a small UAV may have turned, per second that no sample came [rad/s]."""
 GAP_FORCE_SIGMA_M_S2: Final = 3.0
