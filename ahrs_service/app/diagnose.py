@@ -22,7 +22,7 @@ from rich.markup import escape
 
 from ahrs_service.app import calibration_file, toml_file, truth_file, twin_file
 from ahrs_service.app import diagnosis_text as text
-from ahrs_service.app.diagnosis_page import PANELS_SHOWN, page
+from ahrs_service.app.diagnosis_page import most_telling, page
 from ahrs_service.app.diagnosis_terminal import summary
 from ahrs_service.app.loaded_recording import load
 from ahrs_service.app.recorded_columns import with_velocity
@@ -41,6 +41,8 @@ from links.errors import RecordingError
 from links.recording_formats import KNOWN
 
 EXIT_DONE: Final = 0
+_PANELS_SHOWN: Final = 12
+"""Panels of residual against covariate in the viewer, as many as can be read at once."""
 _READ: Final = 0.05
 """Share of the whole time in which a recording is read."""
 
@@ -120,7 +122,9 @@ def diagnose_file(
                 columns, lambda share: advance("searching", _READ + (1.0 - _READ) * share), truth
             )
         except ValueError as error:
-            raise RecordingError(f"{path}: {error}") from None
+            # Some of these name the recording, but not the folder that it is in.
+            why = str(error).removeprefix(f"{path.name}: ")
+            raise RecordingError(f"{path}: {why}") from None
     notes = [*loaded.notes, *diagnosis.notes]
     if diagnosis.oracle and diagnosis.oracle.oracle["gyro"].log_likelihood_gain < 0.0:
         notes.append(text.DOUBTFUL_TRUTH)
@@ -197,7 +201,7 @@ def _write_rrd(path: Path, name: str, diagnosis: Diagnosis) -> None:
     from viz import report_plots as plots  # noqa: PLC0415
     from viz.report_rrd import write_report  # noqa: PLC0415
 
-    telling = sorted(diagnosis.covariates, key=lambda item: item.p_value)[:PANELS_SHOWN]
+    telling = most_telling(diagnosis.covariates)[:_PANELS_SHOWN]
     pictures = {}
     if telling:
         picture = plots.against_covariates(telling)

@@ -29,6 +29,8 @@ def _parts(name: str, diagnosis: Diagnosis) -> Iterator[RenderableType]:
         yield Padding(Text(f"{number}. {text.paragraph(finding)}"), (0, 0, 1, 0))
     for item in diagnosis.unexplained:
         yield Text(f"? {text.unexplained_text(item)}", style="red")
+    for implausible in diagnosis.implausible:
+        yield Text(f"! {text.implausible_text(implausible)}", style="yellow")
     if diagnosis.findings:
         yield holdout_table(diagnosis)
     if diagnosis.free_run is not None:
@@ -56,7 +58,7 @@ def findings_table(diagnosis: Diagnosis) -> Table:
             escape(finding.effect),
             " ".join(finding.axes),
             f"{finding.log_evidence:.1f}",
-            escape(f"{rival.effect} {rival.log_evidence:.1f}") if rival else "-",
+            escape(f"{rival.effect}\n{rival.log_evidence:.1f}") if rival else "-",
             f"{finding.holdout.log_likelihood_gain:.1f}",
         )
     return table

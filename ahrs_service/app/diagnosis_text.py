@@ -1,5 +1,6 @@
 """What a diagnosis says, in plain sentences: the same words on the screen, the page, the viewer."""
 
+import re
 from collections.abc import Iterable
 from typing import Any, Final
 
@@ -11,6 +12,7 @@ from ahrs_service.diagnosis.result import (
     Estimated,
     Finding,
     FreeRun,
+    Implausible,
     Unexplained,
     Vector,
     Where,
@@ -30,21 +32,19 @@ ORACLE_HEAD: Final = ("", "before", "found", "oracle")
 
 DOUBTFUL_TRUTH: Final = "the true numbers explain this recording worse than none: is it its truth?"
 
+_UNIT_IN_NAME: Final = re.compile("_(s|m|hz|a|rad|degC|rad_s_per_m_s2)$")
 _SPANS_SHOWN: Final = 3
 _SMALLEST_POWER: Final = -3
 
 
-def paragraph(finding: Finding) -> str:
+def paragraph(finding: Finding, has_numbers: bool = True) -> str:
     """Return one finding as a paragraph: what, where, how much, how sure, what to do."""
     parts = [_sentence(finding.explanation)]
     if finding.where:
         parts.append(f"It shows {where_text(finding.where)}.")
-    parts.append(f"Fitted: {parameters_text(finding)}.")
-    gain = finding.holdout.log_likelihood_gain
-    parts.append(
-        f"On parts of the recording it was not fitted to it gains {gain:.0f} nats of likelihood "
-        f"({_chance(finding.p_value)})."
-    )
+    if has_numbers:
+        parts.append(f"Fitted: {parameters_text(finding)}.")
+    parts.append(_held_out_text(finding))
     others = [one for one in finding.alike if one != finding.effect]
     if others and "cannot tell" not in finding.explanation:
         names = " or ".join(title(one) for one in others)
@@ -53,6 +53,20 @@ def paragraph(finding: Finding) -> str:
         parts.append(f"To be sure: {finding.separating_manoeuvre}.")
     parts.append(_sentence(live_text(finding.effect)))
     return " ".join(parts)
+
+
+def _held_out_text(finding: Finding) -> str:
+    """Say what a finding gains where it was not fitted, on the axis and in the band of most."""
+    held = finding.holdout
+    before = np.array([held.rms_before, held.low_frequency_rms_before])
+    after = np.array([held.rms_after, held.low_frequency_rms_after])
+    band, axis = np.unravel_index(np.argmin(after / np.maximum(before, 1e-30)), before.shape)
+    return (
+        f"On parts of the recording it was not fitted to it gains {held.log_likelihood_gain:.0f} "
+        f"nats of likelihood ({_chance(finding.p_value)}), and the residual of the "
+        f"{triad_of(finding.effect)} on {'xyz'[axis]}{' below 0.05 Hz' if band else ''} goes from "
+        f"{before[band, axis]:.3g} to {after[band, axis]:.3g} {unit_of(finding.effect)} rms."
+    )
 
 
 def live_text(effect: str) -> str:
@@ -77,6 +91,19 @@ def unexplained_text(item: Unexplained) -> str:
     )
 
 
+def implausible_text(item: Implausible) -> str:
+    """Say that an effect would explain something, but not at a size that is believed."""
+    sizes = ", ".join(
+        f"{parameter_text(name)} {estimate_text(Estimated(item.parameters[name], 0.0, '1'))} "
+        f"(data sheets: up to {largest:.2g})"
+        for name, largest in item.plausible.items()
+    )
+    return (
+        f"Not believed: {title(item.effect)} ({item.effect}) would gain {item.log_evidence:.0f} "
+        f"nats, but with {sizes}; something else acts, in recording, reference or vehicle."
+    )
+
+
 def where_text(where: Iterable[Where]) -> str:
     """Return where something shows: "from 60 s to 150 s (vibration above 2 m/s^2)"."""
     spans = list(where)
@@ -91,8 +118,29 @@ def where_text(where: Iterable[Where]) -> str:
 def parameters_text(finding: Finding) -> str:
     """Return the parameters with their 1-sigma and unit."""
     return ", ".join(
-        f"{words(name)} {estimate_text(estimate)}" for name, estimate in finding.parameters.items()
+        f"{parameter_text(name)} {estimate_text(estimate)}"
+        for name, estimate in finding.parameters.items()
     )
+
+
+def parameter_rows(finding: Finding) -> list[tuple[str, ...]]:
+    """Return the parameters as rows of name with unit, x, y, z; a number stands under x."""
+    rows = []
+    for name, estimate in finding.parameters.items():
+        value, std = np.asarray(estimate.value), np.asarray(estimate.std)
+        unit = "" if estimate.unit == "1" else f" [{estimate.unit}]"
+        label = f"{parameter_text(name)}{unit}"
+        lines = zip(np.atleast_2d(value), np.atleast_2d(std), strict=True)
+        for axis, (values, stds) in zip("xyz", lines, strict=False):
+            cells = [_numbers(v, s) for v, s in zip(values, stds, strict=True)]
+            cells += [""] * (3 - len(cells))
+            rows.append((f"{label} of {axis}" if value.ndim == 2 else label, *cells))
+    return rows
+
+
+def parameter_text(name: str) -> str:
+    """Return a parameter's name as words, without the unit that follows its value."""
+    return words(name if name.startswith("per_") else _UNIT_IN_NAME.sub("", name))
 
 
 def estimate_text(estimate: Estimated) -> str:
@@ -157,7 +205,7 @@ def beside_truth(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
                 got = estimate_text(mine.parameters[name])
             else:
                 got = f"in the class of {inside[0]}" if inside else "not found"
-            rows.append((true.effect, words(name), told, got))
+            rows.append((true.effect, parameter_text(name), told, got))
     rows += [(what, "", "has no equation here", "") for what in oracle.outside]
     for finding in found.values():
         if not any(true.effect in finding.alike for true in oracle.effects):

@@ -91,6 +91,9 @@ def load(path: Path, progress: Progress | None = None) -> Loaded:
     attitude = rising(Series(attitude_s, reference.ned_from_body))
     temperature, told = _temperature(recording, imu, shift_s)
     notes = [f"reference: {reference.name}", *([told] if told else [])]
+    notes += [
+        f"damaged: {count} {what.replace('_', ' ')}" for what, count in recording.damaged.items()
+    ]
     vibration = covariates.get("vibration", Series())
     if not len(vibration):
         vibration = vibration_of(imu_s, accel)

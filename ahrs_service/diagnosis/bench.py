@@ -62,6 +62,7 @@ class BenchResidual:
         self.scatter = scatter(time_s, readings, slow, time_s)
         self.rows = self._windows(readings - np.hstack([rate, force]))
         self.body = self.rows
+        self.nuisances = np.empty((*self.rows.shape, 0))
         self.missing = self._without_reference(reference, time_s)
         self.moved: Callable[[], None] = lambda: None
 

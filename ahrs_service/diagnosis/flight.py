@@ -102,7 +102,7 @@ class FlightResidual:
         # Whatever was gathered while the attitude was wrong is no longer known after it.
         self._begins[1:] = np.maximum(self._begins[1:], self.missing[:-1])
         self._instants: Instants | None = None
-        self._unseen = np.stack([self.missing, self.missing], axis=1)
+        self._unseen = np.zeros(self.rows.shape, np.bool_)
         if len(path.velocity):
             self._measure(path)
         self._turn, self._tilt, self._path = self._paths(path.speeds)
@@ -116,7 +116,9 @@ class FlightResidual:
         self.scatter = scatter(imu_s, readings, slow_motion(imu_s, readings, imu_s), path.time_s)
         self._densities = [density(imu_s, readings[:, part]) for part in (_GYRO, _ACCEL)]
         motion = slow - self._mean_bias(reference, increments, away)
-        self._changes = self._in_earth(motion)
+        changes = self._in_earth(motion)
+        self._changes = np.abs(self._windows(changes[:: self._parts]))
+        self.nuisances = self._lateness(path.time_s, changes[:, _ACCEL])
         read = covariates(recorded, path.time_s, motion[:, _GYRO], motion[:, _ACCEL], self._q)
         shaking = np.where(np.isfinite(read.vibration_m_s2), read.vibration_m_s2, 0.0)
         self._vibration = self._windows(shaking[:: self._parts])[:, None]
@@ -135,9 +137,8 @@ class FlightResidual:
         increments[jumped] = 0.0
         self.rows[:, _ACCEL] = instants.put(_sum(increments))
         self._begins[instants.rows[1:][jumped]] = 1.0
-        seen = np.zeros(instants.count)
-        seen[instants.rows] = 1.0
-        self._unseen[:, 1] = np.maximum(self.missing, 1.0 - seen)
+        self._unseen[:, _ACCEL] = True
+        self._unseen[instants.rows, _ACCEL] = False
         self._instants = instants
 
     def _windows(self, values: Floats) -> Floats:
@@ -167,10 +168,24 @@ class FlightResidual:
         return np.asarray(np.concatenate([angle, speed]) / length_s)
 
     def _in_earth(self, motion: Floats) -> Floats:
-        """Return how fast angle and velocity change [N, 6] in earth axes, without sign."""
+        """Return how fast angle and velocity change [M, 6] in earth axes."""
         turning = rotate_columns(self._q, motion[:, _GYRO])
         acceleration = rotate_columns(self._q, motion[:, _ACCEL]) + GRAVITY_NED
-        return np.abs(self._windows(np.hstack([turning, acceleration])[:: self._parts]))
+        return np.hstack([turning, acceleration])
+
+    def _lateness(self, fine_s: Floats, acceleration: Floats) -> Floats:
+        """Return what a late velocity adds to the rows [N, 6, 2], by its first two derivatives.
+
+        A receiver of satellites tells its velocity 0.1 to 0.2 s late (ArduPilot issues 2850, 5405),
+        so where the velocity is told seldom its time is no witness.
+        """
+        if self._instants is None:
+            return np.empty((*self.rows.shape, 0))
+        added = np.zeros((*self.rows.shape, 2))
+        bends = np.gradient(acceleration, fine_s, axis=0)
+        added[:, _ACCEL, 0] = self._instants.measured(acceleration)
+        added[:, _ACCEL, 1] = self._instants.measured(bends)
+        return added
 
     def _in_body(self, reference: Reference, increments: Floats) -> Floats:
         """Return the misfit as rate and force [N, 6] in body axes, per row."""
@@ -301,7 +316,8 @@ class FlightResidual:
         gains, roots = np.empty((count, STATES, 6)), np.empty((count, 6, 6))
         variances = np.empty((count, 6))
         steps = self._steps_s, keep
-        flight_gains(*path, *steps, self._unseen, drive, start, white, gains, roots, variances)
+        unseen = np.maximum(self._unseen[:, ::3], self.missing[:, None])
+        flight_gains(*path, *steps, unseen, drive, start, white, gains, roots, variances)
         return (*path, *steps, gains, roots), np.log(variances)
 
 

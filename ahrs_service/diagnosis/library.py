@@ -63,11 +63,15 @@ class Smooth:
 
 @dataclass(slots=True)
 class Library:
-    """All candidates and their responses `rows` [N, 6, K]."""
+    """All candidates and their responses `rows` [N, 6, K].
+
+    `refused` why by effect; `implausible` the terms that were dropped for their size, with gain.
+    """
 
     candidates: list[Candidate] = field(default_factory=list)
     rows: Floats = field(default_factory=lambda: np.empty((0, 6, 0)))
     refused: dict[str, str] = field(default_factory=dict)
+    implausible: dict[str, tuple[Term, float]] = field(default_factory=dict)
 
 
 def linear_entries(effect: Effect) -> list[Entry]:
@@ -172,8 +176,10 @@ def library_of(residual: Residual, names: Sequence[str] = tuple(EFFECTS)) -> Lib
         if why is not None:
             library.refused[name] = why
             continue
-        has_coefficients = bool(linear_entries(effect))
-        for form in forms_of(residual, effect):
+        has_coefficients, forms = bool(linear_entries(effect)), forms_of(residual, effect)
+        if not forms:
+            library.refused[name] = f"the recording lacks what excites it: {effect.excited_by}"
+        for form in forms:
             added = responses(residual, effect, form)
             freedom = len(form) + (len(added) if has_coefficients else 0)
             place = slice(used, used + len(added))
@@ -244,8 +250,8 @@ def regimes(columns: Columns) -> dict[str, Floats]:
 def unknown_forms(columns: Columns) -> list[Smooth]:
     """Return smooth forms of each covariate: polynomials, cubic splines, two harmonics of heading.
 
-    And of rate and specific force as vectors what is quadratic in their components, which no
-    function of their size or of attitude angles is.
+    And of rate and specific force what is quadratic in their components, which no function of
+    their size or of attitude angles is: what is linear in them has names.
     """
     forms = []
     for name, values in regimes(columns).items():
@@ -259,17 +265,20 @@ def unknown_forms(columns: Columns) -> list[Smooth]:
         else:
             share = np.clip((values - low) / (high - low), 0.0, 1.0)
             forms.append(Smooth(name, spline_basis(share), (1, 2, 4)))
-    force, rate = columns.force_m_s2, columns.rate_rad_s
-    forms.append(Smooth("acceleration", quadratic(force), (9,)))
-    turning = np.hstack([quadratic(rate), columns.angular_acceleration_rad_s2])
-    forms.append(Smooth("rate", turning, (12,)))
-    return forms
+    bent, turned = products(columns.force_m_s2), products(columns.rate_rad_s)
+    turning = np.hstack([turned, columns.angular_acceleration_rad_s2])
+    return [
+        *forms,
+        Smooth("acceleration", bent, (6,)),
+        Smooth("rate", turned, (6,), ("gyro",)),
+        Smooth("rate", turning, (9,), ("accel",)),
+    ]
 
 
-def quadratic(vector: Floats) -> Floats:
-    """Return the components [N, 3] and their products [N, 9], each over its largest."""
+def products(vector: Floats) -> Floats:
+    """Return the products of two components [N, 6] of a vector [N, 3], each over its largest."""
     first, second = np.triu_indices(3)
-    terms = np.hstack([vector, vector[:, first] * vector[:, second]])
+    terms = vector[:, first] * vector[:, second]
     return np.asarray(terms / np.maximum(np.abs(terms).max(axis=0), 1e-300))
 
 

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter1d, median_filter
 
 from ahrs_service.diagnosis.recorded import Recorded, Series
 from ahrs_service.records import Floats
@@ -134,7 +134,7 @@ def jumps(increments: Floats) -> npt.NDArray[np.bool_]:
     A jump stands alone among its neighbours, nine robust sigmas away from their median: of
     Gaussian noise one in 1e18 does. A real misfit of the IMU lasts longer than one interval, so
     sigma is that of second differences (of white noise sqrt(6) of it), which leave it out; and it
-    is that of the 40 intervals about where these are rougher than the rest, for in hard manoeuvres
+    is that of any 40 intervals near by where these are rougher than the rest: in hard manoeuvres
     what the reference lags and the IMU lacks is as rough as they are.
     """
     size = (min(_NEIGHBOURS, len(increments) | 1), 1)
@@ -142,6 +142,7 @@ def jumps(increments: Floats) -> npt.NDArray[np.bool_]:
     bends = np.abs(np.diff(increments, 2, axis=0)) if len(increments) > 2 else np.abs(increments)
     everywhere = np.median(bends, axis=0)
     near = median_filter(bends, size=(min(2 * _NEAR, len(bends)) | 1, 1), mode="nearest")
+    near = maximum_filter1d(near, 2 * _NEAR + 1, axis=0, mode="nearest")
     near = np.vstack([near[:1], near, near[-1:]])[: len(increments)]
     sigma = 1.4826 * np.maximum(near, everywhere) / np.sqrt(6.0)
     scale = np.maximum(sigma, np.finfo(np.float64).tiny)

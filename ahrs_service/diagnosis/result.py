@@ -81,6 +81,20 @@ class Unexplained:
 
 
 @dataclass(frozen=True, slots=True)
+class Implausible:
+    """An effect that would explain something, but only at a size that no IMU has.
+
+    `parameters` as fitted, `plausible` the largest of data sheets, both by name; `log_evidence`
+    what it would gain [nats].
+    """
+
+    effect: str
+    parameters: Mapping[str, Any]
+    plausible: Mapping[str, float]
+    log_evidence: float
+
+
+@dataclass(frozen=True, slots=True)
 class NotObservable:
     """An effect that this recording cannot show, and why."""
 
@@ -174,6 +188,7 @@ class Diagnosis:
     series: ResidualSeries | None = None
     notes: tuple[str, ...] = ()
     oracle: Oracle | None = None
+    implausible: tuple[Implausible, ...] = ()
 
 
 def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -189,6 +204,7 @@ def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "effects": [_finding(finding) for finding in diagnosis.findings],
         "unexplained": [asdict(item) for item in diagnosis.unexplained],
         "not_observable": [asdict(item) for item in diagnosis.not_observable],
+        "implausible": [asdict(item) for item in diagnosis.implausible],
         "holdout": held_out,
         "noise": dict(diagnosis.noise),
         "notes": list(diagnosis.notes),

@@ -11,7 +11,9 @@ from typing import Final
 
 import numpy as np
 
+from ahrs_service.diagnosis.agreement import scatter_of_term, scatter_of_unknown
 from ahrs_service.diagnosis.chance import alarm, hypotheses, maxima
+from ahrs_service.diagnosis.classes import ALIKE, SHARE_OF_MAIN, alike
 from ahrs_service.diagnosis.form import as_telling, best_unknown, is_clearer, unknown_instead
 from ahrs_service.diagnosis.holdout import held_out
 from ahrs_service.diagnosis.hypotheses import (
@@ -39,27 +41,22 @@ ALARM: Final = alarm(20.0)
 """Surprise [nats] from which a hypothesis is believed: 7.6. By the bootstrap of the maximum
 (diagnosis.chance) a recording's library amounts to 14 to 27 independent hypotheses."""
 
-SHARE_OF_MAIN: Final = 0.004
-"""A further effect must gain this share of the first: so well are response and motion known."""
-
 UNKNOWN_ALARM: Final = 16.0
 """The same for a smooth unknown dependence: higher, because noise that goes with the motion (a
 jittered reference) raises these tests, of which there are twenty of twelve numbers each."""
-
-ALIKE: Final = 4.0
-"""Difference of surprise [nats] below which two hypotheses are not told apart: odds of 50."""
 
 _TRIED: Final = 5
 _CLOSE: Final = 0.6
 _MOST_STEPS: Final = 5
 _KEPT_SHARE: Final = 0.25
 _APART: Final = 0.15
-_ALIKE_SHARE: Final = 0.7
 _FREED: Final = 11.0
 """More surprise [nats] asked of a gain that is there only once the wander is fitted again: its size
 and time are badly known, and a smaller wander makes more of any slow regressor. Of 100 recordings
 of noise the largest were 17.2 and 15.1 so, wander that follows temperature, and 5.3 before."""
 _SHARE_OF_UNKNOWN: Final = 0.3
+_CONSTANT: Final = "imu_mounting_rotation"
+_SOME: Final = 1.5
 Progress = Callable[[float], None]
 
 
@@ -71,7 +68,9 @@ class Search:
     without it; `alike` per term the ids that explain as much; `rivals` per term the next best
     with its gain; `unknown` surprise per unknown dependence left or taken; `telling` per unknown
     dependence the covariates that explain as much, its own first; `hypotheses` how many
-    independent ones were looked at.
+    independent ones were looked at;
+    `scatter` per term by how much its variances are larger than the noise says, see
+    diagnosis.agreement.
     """
 
     bare: Model
@@ -82,6 +81,7 @@ class Search:
     unknown: dict[str, float]
     telling: dict[str, tuple[str, ...]]
     hypotheses: float
+    scatter: tuple[float, ...]
 
 
 def _named(ranking: list[tuple[Candidate, float]], model: Model) -> list[tuple[Candidate, float]]:
@@ -107,6 +107,23 @@ def best_step(residual: Residual, library: Library, model: Model, least: float) 
     return named if named is not None and named.surprise > least else None
 
 
+def _is_possible(library: Library, step: Step) -> bool:
+    """Whether a step's numbers are of a size that an IMU can have; what is not is noted."""
+    if is_plausible(step.model):
+        return True
+    library.implausible[step.candidate.name] = step.model.terms[-1], step.gain
+    return False
+
+
+def _is_swallowed(candidate: Candidate, value: float) -> bool:
+    """Whether the noise of a model without it may have taken up what a candidate explains.
+
+    A turned mounting in flight is a constant attitude error in body axes, as the reference's own
+    is that lasts: only a fit with the noise parts them.
+    """
+    return candidate.name == _CONSTANT and value > _SOME
+
+
 def _best_named(
     residual: Residual,
     library: Library,
@@ -116,6 +133,7 @@ def _best_named(
 ) -> Step | None:
     """Return the most surprising effect: settled, then those in reach fitted with their noise."""
     ranking = [(c, value) for c, value in _named(forms, model) if value > 0.5 * least][:_TRIED]
+    ranking += [(c, v) for c, v in forms if _is_swallowed(c, v) and (c, v) not in ranking]
     if not ranking:
         return None
     steps = [extend(residual, library, model, c, has_noise=False) for c, _ in ranking]
@@ -125,9 +143,9 @@ def _best_named(
     fitted = [
         step_between(residual, model, step.candidate, refit(residual, step.model))
         for step in close
-        if step.surprise >= _CLOSE * top
+        if step.surprise >= _CLOSE * top or _is_swallowed(step.candidate, step.surprise)
     ]
-    fitted = [step for step in fitted if is_plausible(step.model)]
+    fitted = [step for step in fitted if _is_possible(library, step)]
     best = max(fitted, key=lambda step: step.surprise, default=None)
     if best is None or held[best.candidate.name] >= least or best.surprise >= least + _FREED:
         return best
@@ -159,21 +177,25 @@ def search(residual: Residual, library: Library, progress: Progress | None = Non
     model, taken, unknown = _pruned(residual, model, taken, unknown)
     model, taken, unknown = _reformed(residual, library, model, taken, unknown)
     model, taken = _confirmed(residual, model, taken)
+    model, taken, unknown = _agreed(residual, model, taken, unknown)
     tell(0.8)
     telling = {
         name: as_telling(residual, library, without_unknown(residual, model, name), name)
         for name in unknown
     }
-    steps, alike, rivals = [], [], []
+    scatter = tuple(scatter_of_term(residual, model, place) for place in range(len(taken)))
+    steps, classes, rivals = [], [], []
     for place, step in enumerate(taken):
         shorter = without(residual, model, place)
         gain = gain_between(residual, shorter, model)
         freedom = step.candidate.freedom
         steps.append(Step(step.candidate, shorter, gain, surprise(gain, freedom)))
-        same, rival = _alike(residual, library, shorter, steps[-1])
-        alike.append(same)
+        same, rival = alike(residual, library, shorter, model, place, steps[-1])
+        classes.append(same)
         rivals.append(rival)
-    return Search(empty, model, tuple(steps), tuple(alike), tuple(rivals), unknown, telling, count)
+    return Search(
+        empty, model, tuple(steps), tuple(classes), tuple(rivals), unknown, telling, count, scatter
+    )
 
 
 def _overlap(model: Model, place: int) -> float:
@@ -277,25 +299,23 @@ def _confirmed(residual: Residual, model: Model, taken: list[Step]) -> tuple[Mod
     return model, taken
 
 
-def _alike(
-    residual: Residual, library: Library, shorter: Model, step: Step
-) -> tuple[tuple[str, ...], tuple[str, float] | None]:
-    """Return the ids that explain as much as a step's effect in its place, and the next best."""
-    gains = screen(residual, shorter.noise, library, shorter.base, shorter.misfit)
-    ranking = _named(best_forms(library, gains), shorter)
-    name = step.candidate.name
-    own = next((value for c, value in ranking if c.name == name), step.surprise)
-    others = [(c, v) for c, v in ranking if c.name != name and v > 0.4 * own][:_TRIED]
-    mine = extend(residual, library, shorter, step.candidate, has_noise=False)
-    same, rival = [], None
-    for candidate, _ in others:
-        other = extend(residual, library, shorter, candidate, has_noise=False)
-        if other.surprise > _ALIKE_SHARE * mine.surprise:
-            other = extend(residual, library, shorter, candidate, has_noise=True)
-        if rival is None or other.gain > rival[1]:
-            rival = (candidate.name, other.gain)
-        # Chance prefers the one with fewer numbers; the data do not, where both fit as well.
-        if max(other.surprise - step.surprise, other.gain - step.gain) > -ALIKE:
-            same.append((other.surprise, candidate.name))
-    same.sort(reverse=True)
-    return (name, *(identifier for _, identifier in same)), rival
+def _agreed(
+    residual: Residual, model: Model, taken: list[Step], unknown: dict[str, float]
+) -> tuple[Model, list[Step], dict[str, float]]:
+    """Leave out what parts of the recording contradict each other on, the last found first."""
+    for name in reversed(tuple(unknown)):
+        ratio = scatter_of_unknown(residual, model, name)
+        if ratio > 1.0:
+            shorter = without_unknown(residual, model, name)
+            gain = gain_between(residual, shorter, model)
+            if surprise(gain / ratio, model.unknown.count(name)) < UNKNOWN_ALARM:
+                model = shorter
+                unknown = {key: value for key, value in unknown.items() if key != name}
+    for place in reversed(range(len(taken))):
+        ratio = scatter_of_term(residual, model, place)
+        if ratio > 1.0:
+            shorter = without(residual, model, place)
+            gain = gain_between(residual, shorter, model)
+            if surprise(gain / ratio, taken[place].candidate.freedom) < ALARM:
+                model, taken = shorter, taken[:place] + taken[place + 1 :]
+    return model, taken, unknown

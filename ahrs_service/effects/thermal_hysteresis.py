@@ -74,6 +74,13 @@ class ThermalHysteresis(Effect):
             ),
         )
 
+    def grid(self, columns: Columns) -> list[dict[str, float]]:
+        """Return the widths that the temperature crosses both ways: none where it never turns."""
+        temperature = columns.temperature_degc
+        fall = float((np.maximum.accumulate(temperature) - temperature).max())
+        rise = float((temperature - np.minimum.accumulate(temperature)).max())
+        return [form for form in super().grid(columns) if form["width_degC"] <= min(fall, rise)]
+
     def add(self, columns: Columns, values: Values) -> Addition:
         """Return the bias of the branch at each instant."""
         width = float(values["width_degC"])

@@ -15,7 +15,7 @@ from ahrs_service.app import calibration_file, truth_file, twin_file
 from ahrs_service.app import diagnosis_text as text
 from ahrs_service.app.cli import main
 from ahrs_service.app.diagnose import compensated, extended, sigmas_of
-from ahrs_service.app.diagnosis_page import page
+from ahrs_service.app.diagnosis_page import most_telling, page
 from ahrs_service.app.diagnosis_terminal import summary
 from ahrs_service.app.loaded_recording import load
 from ahrs_service.diagnosis.recorded import Recorded, Series
@@ -26,6 +26,7 @@ from ahrs_service.diagnosis.result import (
     Finding,
     FreeRun,
     Holdout,
+    Implausible,
     NotObservable,
     Oracle,
     ResidualSeries,
@@ -34,6 +35,7 @@ from ahrs_service.diagnosis.result import (
     Unexplained,
     Where,
     Whiteness,
+    as_json,
 )
 from ahrs_service.effects.catalogue import effect_of
 from ahrs_service.simulation.imu import Imu
@@ -84,6 +86,14 @@ def diagnosis():
         covariates=(against,),
         series=ResidualSeries(time_s, before, 0.5 * before),
         notes=("reference: <b>ATTITUDE</b>",),
+        implausible=(
+            Implausible(
+                "accel_scale_factor",
+                {"scale_error": [0.6, 0.0, 0.9]},
+                {"scale_error": 0.03},
+                231.0,
+            ),
+        ),
     )
 
 
@@ -111,6 +121,55 @@ def test_a_finding_is_a_paragraph_that_a_pilot_understands():
 )
 def test_figures_carry_two_digits_of_their_sigma(value, std, unit, words):
     assert text.estimate_text(Estimated(value, std, unit)) == words
+
+
+def test_what_is_too_large_to_be_believed_is_told_with_its_size(diagnosis):
+    (item,) = diagnosis.implausible
+    words = text.implausible_text(item)
+    assert "accel_scale_factor) would gain 231 nats" in words
+    assert "scale error (0.6, 0, 0.9) (data sheets: up to 0.03)" in words
+    assert words in html.unescape(page("a.tlog", diagnosis))
+    assert json.loads(json.dumps(as_json(diagnosis)))["implausible"][0]["log_evidence"] == 231.0
+
+
+def test_the_fitted_numbers_stand_in_a_table_by_axis():
+    matrix = Estimated(np.full((3, 3), 2e-3).tolist(), np.full((3, 3), 1e-4).tolist(), "rad s/m")
+    offset = Estimated(0.0089, 0.0001, "s")
+    one = finding(parameters={"matrix_rad_s_per_m_s2": matrix, "offset_s": offset})
+    cell = "0.00200 ± 0.00010"
+    assert text.parameter_rows(one) == [
+        *((f"matrix [rad s/m] of {axis}", cell, cell, cell) for axis in "xyz"),
+        ("offset [s]", "0.00890 ± 0.00010", "", ""),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("offset_s", "offset"),
+        ("arm_m", "arm"),
+        ("reference_degC", "reference"),
+        ("matrix_rad_s_per_m_s2", "matrix"),
+        ("per_degC_per_s", "per degC per s"),
+        ("per_ampere", "per ampere"),
+    ],
+)
+def test_a_parameter_is_named_without_the_unit_that_its_value_carries(name, words):
+    assert text.parameter_text(name) == words
+
+
+def test_every_covariate_has_the_most_telling_channel_of_each_sensor():
+    channels = ("gyro_x", "gyro_y", "accel_x", "accel_z")
+    edges, nothing = np.arange(3.0), np.zeros(2)
+    panels = [
+        Covariate(channel, covariate, "1", edges, nothing, nothing, nothing, 0.1 / (n + 1))
+        for covariate in ("throttle", "time")
+        for n, channel in enumerate(channels)
+    ]
+    shown = [(item.covariate, item.channel) for item in most_telling(panels)]
+    assert shown == [
+        ("throttle", "accel_z"), ("time", "accel_z"), ("throttle", "gyro_y"), ("time", "gyro_y")
+    ]  # fmt: skip
 
 
 def test_the_page_is_one_file_with_all_that_was_found(diagnosis):
@@ -152,7 +211,7 @@ def test_what_the_truth_holds_stands_beside_the_found(diagnosis):
     assert rows == [
         ("accel_current_coupling", "per ampere", "(0, 0, 0.1) m/s^2/A",
          "in the class of accel_vibration_rectification"),
-        ("accel_current_coupling", "reference a", "0 A",
+        ("accel_current_coupling", "reference", "0 A",
          "in the class of accel_vibration_rectification"),
         ("gyro_scale_factor", "scale error", "(0.01, 0, 0)", "not found"),
         ("accel: something that depends on airspeed", "", "has no equation here", ""),

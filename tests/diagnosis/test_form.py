@@ -10,7 +10,7 @@ from ahrs_service.app.recorded_columns import read_columns
 from ahrs_service.diagnosis.blind.case import Request, make
 from ahrs_service.diagnosis.diagnose import diagnose
 from ahrs_service.diagnosis.form import evidence, is_clearer
-from ahrs_service.diagnosis.library import quadratic, spline_basis
+from ahrs_service.diagnosis.library import products, spline_basis
 
 
 @pytest.mark.parametrize(("freedom", "gain"), [(1, 3.0), (3, 12.0), (12, 150.0)])
@@ -57,9 +57,9 @@ def test_a_covariate_of_two_values_has_one_form():
     assert np.count_nonzero(np.abs(basis).max(axis=0) > 1e-6) == 1
 
 
-def test_quadratic_forms_hold_every_product_of_two_components():
+def test_the_products_hold_every_product_of_two_components():
     vector = np.random.default_rng(2).normal(size=(50, 3))
-    basis = quadratic(vector)
+    basis = products(vector)
     for i, j in np.ndindex(3, 3):
         product = vector[:, i] * vector[:, j]
         left = product - basis @ np.linalg.lstsq(basis, product, rcond=None)[0]
