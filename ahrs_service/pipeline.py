@@ -63,6 +63,7 @@ PARAMETERS_DTYPE: Final = np.dtype(
         ("accel_scale_error", "f8", len(Airframe)),
         ("accel_bias_sigma_m_s2", "f8", len(Airframe)),
         ("gyro_matrix_sigma", "f8", len(Airframe)),
+        ("shaken_bias_walk_s_m_rts", "f8", len(Airframe)),
         ("drag_s", "f8", (len(Airframe), 3)),
         ("climb_sigma_m_s", "f8", len(Airframe)),
         ("climb_correlation_s", "f8", len(Airframe)),

@@ -127,8 +127,8 @@ class FusionSettings:
     mode: Literal["velocity", "gated"] = "velocity"
     airframe: Literal["auto", "fixed_wing", "multirotor", "hand_held", "other"] = "auto"
     gyro_sample: Literal["mean", "instant"] = "instant"
-    gyro_noise_rad_s_rthz: _Positive = 0.003
-    gyro_bias_walk_rad_s2_rthz: _Positive = 2e-4
+    gyro_noise_rad_s_rthz: _Positive = 0.001
+    gyro_bias_walk_rad_s2_rthz: _Positive = 1.5e-4
     gyro_bias_per_rtdegc_rad_s: _NotNegative = 3e-4
     gyro_bias_sigma_rad_s: _Positive = 0.02
     gyro_scale_error_rts: _NotNegative = 0.002
@@ -152,7 +152,9 @@ class AirframeSettings:
     `accel_noise_m_s2` is what accelerates the vehicle while the gates are open [m/s^2],
     `velocity_noise_m_s_rts` what noise and vibration of the accelerometer add to the velocity [m/s
     per sqrt(s)], `accel_scale_error` what its scale does, as a share of the force beyond 1 g.
-    `accel_bias_sigma_m_s2` [m/s^2] and `gyro_matrix_sigma` [1] are what calibration left.
+    `accel_bias_sigma_m_s2` [m/s^2] and `gyro_matrix_sigma` [1] are what calibration left,
+    `shaken_bias_walk_s_m_rts` what a shake of the accelerometer adds to the gyro's bias walk [rad/s
+    per sqrt(s) and m/s^2].
     """
 
     __pydantic_config__: ClassVar = _STRICT
@@ -167,6 +169,7 @@ class AirframeSettings:
     accel_scale_error: _NotNegative
     accel_bias_sigma_m_s2: _NotNegative
     gyro_matrix_sigma: _NotNegative
+    shaken_bias_walk_s_m_rts: _NotNegative = 0.0
 
 
 FIXED_WING = AirframeSettings(
@@ -179,7 +182,7 @@ FIXED_WING = AirframeSettings(
     accel_noise_m_s2=1.5,
     velocity_noise_m_s_rts=0.2,
     accel_scale_error=0.1,
-    accel_bias_sigma_m_s2=0.02,
+    accel_bias_sigma_m_s2=0.04,
     gyro_matrix_sigma=0.005,
 )
 """Small fixed wings; configs/airframes/ says for each class where its numbers come from."""
@@ -195,6 +198,7 @@ MULTIROTOR = AirframeSettings(
     accel_scale_error=0.1,
     accel_bias_sigma_m_s2=0.1,
     gyro_matrix_sigma=0.005,
+    shaken_bias_walk_s_m_rts=4e-4,
 )
 """Rotors without wings."""
 HAND_HELD = AirframeSettings(

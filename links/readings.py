@@ -211,7 +211,11 @@ def recording_from_tlog(
     RecordingError where it holds no IMU message, saying what it has instead.
     """
     tlog = read_tlog(path, progress)
-    readings, frame_index = from_tables(tlog)
+    return recording_of(tlog, *from_tables(tlog))
+
+
+def recording_of(tlog: TlogFile, readings: Rows, frame_index: npt.NDArray[np.int32]) -> Recording:
+    """Return a tlog that was read, with what `from_tables` gives of it, as a recording."""
     counts = tlog.message_counts()
     if not np.any(readings["kind"] == Kind.IMU):
         found = ", ".join(f"{name} {count}" for name, count in list(counts.items())[:12])

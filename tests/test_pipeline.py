@@ -155,8 +155,8 @@ def test_each_motion_closes_the_gate_for_its_own_reason():
     turning["gyro_rad_s"][300:, 2] = 1.0
     assert run(turning)["gate"][-1] == Gate.RATE
 
-    started = still(400)
-    started["gyro_rad_s"][390:, 2] = 0.5
+    started = still(410)
+    started["gyro_rad_s"][390:, 2] = 1.0
     assert np.any(run(started)["gate"][390:] & Gate.ANGULAR_ACCELERATION)
 
     clipped = still(400)

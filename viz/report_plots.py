@@ -130,7 +130,9 @@ def against_covariates(covariates: Sequence[Covariate]) -> Figure:
 
 def _against(axes: Axes, item: Covariate) -> None:
     unit, factor = unit_of(item.channel)
-    middle = 0.5 * (item.edges[1:] + item.edges[:-1])
+    is_angle = item.unit.startswith("rad")
+    turn, along = (180.0 / math.pi if is_angle else 1.0), item.unit.replace("rad", "deg")
+    middle = 0.5 * turn * (item.edges[1:] + item.edges[:-1])
     band = 2.0 * factor * item.null_std
     axes.fill_between(middle, -band, band, color=_BAND, linewidth=0.0, label="noise, 2 sigma")
     axes.axhline(0.0, color=_INK, linewidth=0.5)
@@ -138,7 +140,7 @@ def _against(axes: Axes, item: Covariate) -> None:
     axes.plot(middle, factor * item.mean, "o", color=colour, markersize=3.0, label="residual")
     axes.plot(middle, factor * item.fitted, color=_INK, linewidth=1.0, label="findings")
     axes.set_title(f"{words(item.channel)} [{unit}], {p_text(item.p_value)}", loc="left")
-    axes.set_xlabel(f"{words(item.covariate)} [{item.unit}]")
+    axes.set_xlabel(f"{words(item.covariate)} [{along}]")
 
 
 def holdout_bars(

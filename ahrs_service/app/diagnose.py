@@ -20,9 +20,9 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
-from ahrs_service.app import calibration_file, toml_file, twin_file
+from ahrs_service.app import calibration_file, toml_file, truth_file, twin_file
 from ahrs_service.app import diagnosis_text as text
-from ahrs_service.app.diagnosis_page import PANELS_SHOWN, page
+from ahrs_service.app.diagnosis_page import most_telling, page
 from ahrs_service.app.diagnosis_terminal import summary
 from ahrs_service.app.loaded_recording import load
 from ahrs_service.app.recorded_columns import with_velocity
@@ -41,6 +41,10 @@ from links.errors import RecordingError
 from links.recording_formats import KNOWN
 
 EXIT_DONE: Final = 0
+_PANELS_SHOWN: Final = 12
+"""Panels of residual against covariate in the viewer, as many as can be read at once."""
+_READ: Final = 0.05
+"""Share of the whole time in which a recording is read."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,6 +58,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="SIM.tlog",
         help="diagnose this recording too and say what the first has that this one lacks",
+    )
+    parser.add_argument(
+        "--truth",
+        type=Path,
+        metavar="TRUTH.json",
+        help="what the recording is known to hold (as prove writes it): shown beside what is found",
     )
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the report")
     parser.add_argument("--html", type=Path, metavar="OUT", help="write one page with pictures")
@@ -73,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
     """Diagnose; return the exit code."""
     console, errors = Console(), Console(stderr=True, soft_wrap=True, highlight=False)
     twin = Imu() if args.twin is None else twin_file.read(args.twin)
-    diagnosis = diagnose_file(args.recording, twin, errors)
+    diagnosis = diagnose_file(args.recording, twin, errors, args.truth)
     console.print(summary(args.recording.name, diagnosis))
     against: tuple[str, Diagnosis] | None = None
     if args.against is not None:
@@ -98,17 +108,27 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-def diagnose_file(path: Path, twin: Imu, errors: Console) -> Diagnosis:
+def diagnose_file(
+    path: Path, twin: Imu, errors: Console, truth_path: Path | None = None
+) -> Diagnosis:
     """Read and diagnose a recording, with a bar; RecordingError says why it cannot be."""
     with progress_bar(errors, path.name) as advance:
-        loaded = load(path, lambda share: advance("reading", share))
+        loaded = load(path, lambda share: advance("reading", _READ * share))
         try:
             columns = compensated(with_velocity(loaded), twin.calibration)
             columns = without_effects(columns, twin.effects)
-            diagnosis = diagnose(columns, lambda share: advance("searching", share))
+            truth = None if truth_path is None else truth_file.read(truth_path, columns)
+            diagnosis = diagnose(
+                columns, lambda share: advance("searching", _READ + (1.0 - _READ) * share), truth
+            )
         except ValueError as error:
-            raise RecordingError(f"{path}: {error}") from None
-    return dataclasses.replace(diagnosis, notes=(*loaded.notes, *diagnosis.notes))
+            # Some of these name the recording, but not the folder that it is in.
+            why = str(error).removeprefix(f"{path.name}: ")
+            raise RecordingError(f"{path}: {why}") from None
+    notes = [*loaded.notes, *diagnosis.notes]
+    if diagnosis.oracle and diagnosis.oracle.oracle["gyro"].log_likelihood_gain < 0.0:
+        notes.append(text.DOUBTFUL_TRUTH)
+    return dataclasses.replace(diagnosis, notes=tuple(notes))
 
 
 def compensated(columns: Recorded, calibration: Calibration) -> Recorded:
@@ -181,7 +201,7 @@ def _write_rrd(path: Path, name: str, diagnosis: Diagnosis) -> None:
     from viz import report_plots as plots  # noqa: PLC0415
     from viz.report_rrd import write_report  # noqa: PLC0415
 
-    telling = sorted(diagnosis.covariates, key=lambda item: item.p_value)[:PANELS_SHOWN]
+    telling = most_telling(diagnosis.covariates)[:_PANELS_SHOWN]
     pictures = {}
     if telling:
         picture = plots.against_covariates(telling)

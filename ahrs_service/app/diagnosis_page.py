@@ -8,10 +8,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.app import diagnosis_text as text
-from ahrs_service.diagnosis.result import Diagnosis, Finding, as_json
-
-PANELS_SHOWN: Final = 12
-"""Panels of residual against covariate, the most telling first."""
+from ahrs_service.diagnosis.result import Covariate, Diagnosis, Finding, as_json
 
 _STYLE: Final = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem;
@@ -25,6 +22,14 @@ th:first-child, td:first-child { text-align: left; } tr:nth-child(even) td { bac
 .picture svg { max-width: 100%; height: auto; } code { background: #f0f1f3; padding: 0 .2rem; }
 pre { overflow-x: auto; background: #f5f6f7; padding: 1rem; }
 """
+
+
+def most_telling(covariates: Sequence[Covariate]) -> list[Covariate]:
+    """Return of every covariate the most telling channel of each triad, the clearest first."""
+    best: dict[tuple[str, str], Covariate] = {}
+    for item in sorted(covariates, key=lambda item: item.p_value):
+        best.setdefault((item.covariate, item.channel.split("_")[0]), item)
+    return list(best.values())
 
 
 def page(name: str, diagnosis: Diagnosis, against: tuple[str, Diagnosis] | None = None) -> str:
@@ -46,9 +51,19 @@ def _body(name: str, diagnosis: Diagnosis, against: tuple[str, Diagnosis] | None
     for item in diagnosis.unexplained:
         yield f"<h2>Not explained: {_safe(text.words(item.channel))}</h2>"
         yield f"<p>{_safe(text.unexplained_text(item))}</p>"
+    for implausible in diagnosis.implausible:
+        yield f"<p>{_safe(text.implausible_text(implausible))}</p>"
     yield from _pictures(diagnosis)
     if diagnosis.findings:
         yield from _holdout(diagnosis)
+    if diagnosis.oracle is not None:
+        yield "<h2>Beside the truth</h2>"
+        yield _table(text.TRUTH_HEAD, text.beside_truth(diagnosis))
+        yield (
+            "<p>On held-out parts: before, with what was found, and with the true numbers "
+            "(the oracle, of which only the noise is fitted).</p>"
+        )
+        yield _table(text.ORACLE_HEAD, text.held_out_beside_truth(diagnosis))
     if against is not None:
         yield from _against(diagnosis, *against)
     if diagnosis.not_observable:
@@ -64,7 +79,8 @@ def _body(name: str, diagnosis: Diagnosis, against: tuple[str, Diagnosis] | None
 
 def _finding(number: int, finding: Finding) -> Iterator[str]:
     yield f"<h2>{number}. {_safe(text.title(finding.effect))} <code>{finding.effect}</code></h2>"
-    yield f"<p>{_safe(text.paragraph(finding))}</p>"
+    yield f"<p>{_safe(text.paragraph(finding, has_numbers=False))}</p>"
+    yield _table(("fitted", "x", "y", "z"), text.parameter_rows(finding))
 
 
 def _pictures(diagnosis: Diagnosis) -> Iterator[str]:
@@ -103,12 +119,12 @@ def _pictures(diagnosis: Diagnosis) -> Iterator[str]:
             whole = float(series.time_s[0]), float(series.time_s[-1])
             yield _picture(plots.as_svg(plots.timeline(rows, whole)))
     if diagnosis.covariates:
-        telling = sorted(diagnosis.covariates, key=lambda item: item.p_value)[:PANELS_SHOWN]
+        telling = most_telling(diagnosis.covariates)
         yield "<h2>Residual against what it may depend on</h2>"
         yield (
             "<p>Dots are means of the residual before any finding, in bins of the covariate; the "
             "grey band is what noise alone makes of them (2 sigma); the line is what the findings "
-            "explain.</p>"
+            "explain. Of every covariate the channel of each sensor that depends on it most.</p>"
         )
         yield _picture(plots.as_svg(plots.against_covariates(telling)))
 

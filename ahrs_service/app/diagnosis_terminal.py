@@ -1,6 +1,6 @@
 """A diagnosis on the terminal: verdict, one paragraph per finding, held-out figures."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from rich import box
 from rich.console import Group, RenderableType
@@ -29,10 +29,16 @@ def _parts(name: str, diagnosis: Diagnosis) -> Iterator[RenderableType]:
         yield Padding(Text(f"{number}. {text.paragraph(finding)}"), (0, 0, 1, 0))
     for item in diagnosis.unexplained:
         yield Text(f"? {text.unexplained_text(item)}", style="red")
+    for implausible in diagnosis.implausible:
+        yield Text(f"! {text.implausible_text(implausible)}", style="yellow")
     if diagnosis.findings:
         yield holdout_table(diagnosis)
     if diagnosis.free_run is not None:
         yield Text(text.free_run_text(diagnosis.free_run))
+    if diagnosis.oracle is not None:
+        yield _table("beside the truth", text.TRUTH_HEAD, text.beside_truth(diagnosis))
+        rows = text.held_out_beside_truth(diagnosis)
+        yield _table("on held-out parts, beside the truth", text.ORACLE_HEAD, rows)
     if diagnosis.not_observable:
         yield not_observable_table(diagnosis)
     for note in diagnosis.notes:
@@ -52,7 +58,7 @@ def findings_table(diagnosis: Diagnosis) -> Table:
             escape(finding.effect),
             " ".join(finding.axes),
             f"{finding.log_evidence:.1f}",
-            escape(f"{rival.effect} {rival.log_evidence:.1f}") if rival else "-",
+            escape(f"{rival.effect}\n{rival.log_evidence:.1f}") if rival else "-",
             f"{finding.holdout.log_likelihood_gain:.1f}",
         )
     return table
@@ -77,6 +83,13 @@ def holdout_table(diagnosis: Diagnosis) -> Table:
             name = f"{text.triad_of(finding.effect)} rms{what} [{text.unit_of(finding.effect)}]"
             cells = (f"{old:.3g} → {new:.3g}" for old, new in zip(before, after, strict=True))
             table.add_row(name, *cells)
+    return table
+
+
+def _table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    table = Table(*head, title=title, title_justify="left", box=box.SIMPLE)
+    for row in rows:
+        table.add_row(*(escape(cell) for cell in row))
     return table
 
 

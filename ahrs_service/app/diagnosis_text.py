@@ -1,12 +1,22 @@
 """What a diagnosis says, in plain sentences: the same words on the screen, the page, the viewer."""
 
+import re
 from collections.abc import Iterable
 from typing import Any, Final
 
 import numpy as np
 
 from ahrs_service.calibration.folding import why_not_live
-from ahrs_service.diagnosis.result import Diagnosis, Estimated, Finding, FreeRun, Unexplained, Where
+from ahrs_service.diagnosis.result import (
+    Diagnosis,
+    Estimated,
+    Finding,
+    FreeRun,
+    Implausible,
+    Unexplained,
+    Vector,
+    Where,
+)
 from ahrs_service.effects.catalogue import effect_of
 
 VERDICTS: Final = {
@@ -16,21 +26,25 @@ VERDICTS: Final = {
 }
 """The verdict as a sentence."""
 
+TRUTH_HEAD: Final = ("effect", "parameter", "true", "found")
+ORACLE_HEAD: Final = ("", "before", "found", "oracle")
+"""Columns of `beside_truth` and `held_out_beside_truth`."""
+
+DOUBTFUL_TRUTH: Final = "the true numbers explain this recording worse than none: is it its truth?"
+
+_UNIT_IN_NAME: Final = re.compile("_(s|m|hz|a|rad|degC|rad_s_per_m_s2)$")
 _SPANS_SHOWN: Final = 3
 _SMALLEST_POWER: Final = -3
 
 
-def paragraph(finding: Finding) -> str:
+def paragraph(finding: Finding, has_numbers: bool = True) -> str:
     """Return one finding as a paragraph: what, where, how much, how sure, what to do."""
     parts = [_sentence(finding.explanation)]
     if finding.where:
         parts.append(f"It shows {where_text(finding.where)}.")
-    parts.append(f"Fitted: {parameters_text(finding)}.")
-    gain = finding.holdout.log_likelihood_gain
-    parts.append(
-        f"On parts of the recording it was not fitted to it gains {gain:.0f} nats of likelihood "
-        f"({_chance(finding.p_value)})."
-    )
+    if has_numbers:
+        parts.append(f"Fitted: {parameters_text(finding)}.")
+    parts.append(_held_out_text(finding))
     others = [one for one in finding.alike if one != finding.effect]
     if others and "cannot tell" not in finding.explanation:
         names = " or ".join(title(one) for one in others)
@@ -39,6 +53,20 @@ def paragraph(finding: Finding) -> str:
         parts.append(f"To be sure: {finding.separating_manoeuvre}.")
     parts.append(_sentence(live_text(finding.effect)))
     return " ".join(parts)
+
+
+def _held_out_text(finding: Finding) -> str:
+    """Say what a finding gains where it was not fitted, on the axis and in the band of most."""
+    held = finding.holdout
+    before = np.array([held.rms_before, held.low_frequency_rms_before])
+    after = np.array([held.rms_after, held.low_frequency_rms_after])
+    band, axis = np.unravel_index(np.argmin(after / np.maximum(before, 1e-30)), before.shape)
+    return (
+        f"On parts of the recording it was not fitted to it gains {held.log_likelihood_gain:.0f} "
+        f"nats of likelihood ({_chance(finding.p_value)}), and the residual of the "
+        f"{triad_of(finding.effect)} on {'xyz'[axis]}{' below 0.05 Hz' if band else ''} goes from "
+        f"{before[band, axis]:.3g} to {after[band, axis]:.3g} {unit_of(finding.effect)} rms."
+    )
 
 
 def live_text(effect: str) -> str:
@@ -63,6 +91,19 @@ def unexplained_text(item: Unexplained) -> str:
     )
 
 
+def implausible_text(item: Implausible) -> str:
+    """Say that an effect would explain something, but not at a size that is believed."""
+    sizes = ", ".join(
+        f"{parameter_text(name)} {estimate_text(Estimated(item.parameters[name], 0.0, '1'))} "
+        f"(data sheets: up to {largest:.2g})"
+        for name, largest in item.plausible.items()
+    )
+    return (
+        f"Not believed: {title(item.effect)} ({item.effect}) would gain {item.log_evidence:.0f} "
+        f"nats, but with {sizes}; something else acts, in recording, reference or vehicle."
+    )
+
+
 def where_text(where: Iterable[Where]) -> str:
     """Return where something shows: "from 60 s to 150 s (vibration above 2 m/s^2)"."""
     spans = list(where)
@@ -77,8 +118,29 @@ def where_text(where: Iterable[Where]) -> str:
 def parameters_text(finding: Finding) -> str:
     """Return the parameters with their 1-sigma and unit."""
     return ", ".join(
-        f"{words(name)} {estimate_text(estimate)}" for name, estimate in finding.parameters.items()
+        f"{parameter_text(name)} {estimate_text(estimate)}"
+        for name, estimate in finding.parameters.items()
     )
+
+
+def parameter_rows(finding: Finding) -> list[tuple[str, ...]]:
+    """Return the parameters as rows of name with unit, x, y, z; a number stands under x."""
+    rows = []
+    for name, estimate in finding.parameters.items():
+        value, std = np.asarray(estimate.value), np.asarray(estimate.std)
+        unit = "" if estimate.unit == "1" else f" [{estimate.unit}]"
+        label = f"{parameter_text(name)}{unit}"
+        lines = zip(np.atleast_2d(value), np.atleast_2d(std), strict=True)
+        for axis, (values, stds) in zip("xyz", lines, strict=False):
+            cells = [_numbers(v, s) for v, s in zip(values, stds, strict=True)]
+            cells += [""] * (3 - len(cells))
+            rows.append((f"{label} of {axis}" if value.ndim == 2 else label, *cells))
+    return rows
+
+
+def parameter_text(name: str) -> str:
+    """Return a parameter's name as words, without the unit that follows its value."""
+    return words(name if name.startswith("per_") else _UNIT_IN_NAME.sub("", name))
 
 
 def estimate_text(estimate: Estimated) -> str:
@@ -124,6 +186,64 @@ def free_run_text(run: FreeRun) -> str:
         f"Attitude error after 60 s of the gyro alone: {run.before:.2f} deg before, "
         f"{run.after:.2f} deg after."
     )
+
+
+def beside_truth(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
+    """Return rows of effect, parameter, true value, value found: of every true or found effect."""
+    oracle = diagnosis.oracle
+    if oracle is None:
+        return []
+    found = {finding.effect: finding for finding in diagnosis.findings}
+    rows = []
+    for true in oracle.effects:
+        mine = found.pop(true.effect, None)
+        inside = [one.effect for one in found.values() if true.effect in one.alike]
+        for name, value in true.parameters.items():
+            unit = {p.name: p.unit for p in effect_of(true.effect).parameters}[name]
+            told = estimate_text(Estimated(value, np.zeros(np.shape(value)), unit))
+            if mine is not None:
+                got = estimate_text(mine.parameters[name])
+            else:
+                got = f"in the class of {inside[0]}" if inside else "not found"
+            rows.append((true.effect, parameter_text(name), told, got))
+    rows += [(what, "", "has no equation here", "") for what in oracle.outside]
+    for finding in found.values():
+        if not any(true.effect in finding.alike for true in oracle.effects):
+            rows.append((finding.effect, "", "not there", parameters_text(finding)))
+    return rows
+
+
+def held_out_beside_truth(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
+    """Return rows of figure, before, found, with the true numbers: all on held-out parts."""
+    oracle = diagnosis.oracle
+    if oracle is None:
+        return []
+    gains = [triads["gyro"].log_likelihood_gain for triads in (oracle.found, oracle.oracle)]
+    rows = [("log-likelihood gain [nats]", "0", *(f"{gain:.1f}" for gain in gains))]
+    for triad, unit in (("gyro", "rad/s"), ("accel", "m/s^2")):
+        mine, true = oracle.found[triad], oracle.oracle[triad]
+        whole = mine.rms_before, mine.rms_after, true.rms_after
+        rows += _per_axis(f"{triad} {{}} rms [{unit}]", whole)
+        slow = (
+            mine.low_frequency_rms_before,
+            mine.low_frequency_rms_after,
+            true.low_frequency_rms_after,
+        )
+        rows += _per_axis(f"{triad} {{}} rms below 0.05 Hz [{unit}]", slow)
+    run = diagnosis.free_run
+    if run is not None and oracle.free_run_deg is not None:
+        figures = run.before, run.after, oracle.free_run_deg
+        rows.append(
+            ("attitude after 60 s of the gyro alone [deg]", *(f"{one:.3f}" for one in figures))
+        )
+    return rows
+
+
+def _per_axis(name: str, sides: Iterable[Vector]) -> list[tuple[str, ...]]:
+    return [
+        (name.format(axis), *(f"{value:.3g}" for value in values))
+        for axis, values in zip("xyz", zip(*sides, strict=True), strict=True)
+    ]
 
 
 def words(name: str) -> str:

@@ -9,8 +9,6 @@ from ahrs_service.diagnosis.recorded import Series
 from ahrs_service.records import Floats, Kind, Rows
 from links.dataflash_tables import DataFlashFile
 from links.gps_velocity import LEAST_FIX
-from links.readings import from_tables
-from links.recording import Recording
 from links.tlog import TlogFile
 
 _UNIX_FROM_NS: Final = 10**18
@@ -34,8 +32,9 @@ def moved(series: Series, by_s: float) -> Series:
 class TlogClock:
     """Times of messages on the clock of the IMU samples, less what makes that Unix time."""
 
-    def __init__(self, tlog: TlogFile, recording: Recording, imu: Rows) -> None:
-        readings, frame_index = from_tables(tlog)
+    def __init__(
+        self, tlog: TlogFile, readings: Rows, frame_index: npt.NDArray[np.int32], imu: Rows
+    ) -> None:
         mine = readings["kind"] == Kind.IMU
         mine &= (readings["source"] == imu["source"][0]) & (readings["system"] == imu["system"][0])
         self._frame, self._time_ns = frame_index[mine], readings["time_ns"][mine]

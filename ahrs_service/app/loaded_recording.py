@@ -27,6 +27,7 @@ from ahrs_service.records import Floats, ImuSource, Kind, Rows
 from ahrs_service.rotation import quaternion_columns, rotate_columns
 from links.dataflash_tables import read_tables
 from links.errors import RecordingError
+from links.readings import from_tables, recording_of
 from links.recording import AttitudeReference, Recording
 from links.recording_formats import read_recording
 from links.tlog import read_tlog
@@ -58,15 +59,19 @@ class Loaded:
 
 def load(path: Path, progress: Progress | None = None) -> Loaded:
     """Read a recording; RecordingError says why it cannot serve."""
-    recording = read_recording(path, progress)
+    tlog = read_tlog(path, progress) if path.suffix.lower() == ".tlog" else None
+    if tlog is None:
+        recording = read_recording(path, progress)
+    else:
+        readings = from_tables(tlog)
+        recording = recording_of(tlog, *readings)
     imu = _imu(recording)
     reference = _reference(recording)
     shift_s = 0.0
     covariates: dict[str, Series] = {}
     rate = position = velocity = Series()
-    if recording.format == "tlog":
-        tlog = read_tlog(path)
-        clock = TlogClock(tlog, recording, imu)
+    if tlog is not None:
+        clock = TlogClock(tlog, *readings, imu)
         shift_s = clock.shift_s
         covariates, rate = tlog_covariates(tlog, clock, reference.name)
         position = receiver_position(tlog, clock)
@@ -86,6 +91,9 @@ def load(path: Path, progress: Progress | None = None) -> Loaded:
     attitude = rising(Series(attitude_s, reference.ned_from_body))
     temperature, told = _temperature(recording, imu, shift_s)
     notes = [f"reference: {reference.name}", *([told] if told else [])]
+    notes += [
+        f"damaged: {count} {what.replace('_', ' ')}" for what, count in recording.damaged.items()
+    ]
     vibration = covariates.get("vibration", Series())
     if not len(vibration):
         vibration = vibration_of(imu_s, accel)

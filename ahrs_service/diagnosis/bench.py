@@ -62,7 +62,9 @@ class BenchResidual:
         self.scatter = scatter(time_s, readings, slow, time_s)
         self.rows = self._windows(readings - np.hstack([rate, force]))
         self.body = self.rows
+        self.nuisances = np.empty((*self.rows.shape, 0))
         self.missing = self._without_reference(reference, time_s)
+        self.moved: Callable[[], None] = lambda: None
 
     def _windows(self, values: Floats) -> Floats:
         """Return the means of successive windows of the grid."""
@@ -83,6 +85,7 @@ class BenchResidual:
 
     def project(self, addition: Addition) -> Floats:
         """Return what an addition [M, 3] on the grid adds to the windows [N, 6]."""
+        self.moved()
         rows = np.zeros(self.rows.shape)
         if addition.gyro is not None:
             rows[:, :3] = self._windows(addition.gyro)
@@ -140,6 +143,7 @@ class BenchResidual:
         known: dict[tuple[int, float, float, float], tuple[Floats, float]] = {}
 
         def gram(noise: Noise) -> tuple[Floats, float]:
+            self.moved()
             values, total, log_det = np.exp(noise), np.zeros(2 * rows.shape[2:]), 0.0
             if len(known) > _MOST_KNOWN:
                 known.clear()
@@ -158,6 +162,7 @@ class BenchResidual:
 
     def whiten(self, noise: Noise, rows: Floats) -> tuple[Floats, Floats]:
         """Return `rows` [N, 6, K] whitened, and the log variances [N, 6] of the innovations."""
+        self.moved()
         values = np.exp(noise)
         out, log_variance = np.empty(rows.shape), np.empty(rows.shape[:2])
         for channel in range(6):

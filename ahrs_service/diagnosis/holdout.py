@@ -81,14 +81,17 @@ def _loss(white: Floats, rows: Places, coefficients: Floats) -> float:
     return 0.5 * float(np.sum(left**2))
 
 
-def held_out(residual: Residual, before: Model, after: Model, triad: str) -> Holdout:
+def held_out(
+    residual: Residual, before: Model, after: Model, triad: str, has_fixed: bool = False
+) -> Holdout:
     """Return what `after` gains over `before` block by block, each block left out of its fit.
 
     Both are fitted to the other blocks under the noise of `after` and score the innovations of
-    the block. Nonlinear parameters move with the linear ones, by their derivatives.
+    the block. Nonlinear parameters move with the linear ones, by their derivatives; none does
+    where `after` `has_fixed` numbers.
     """
     count = bias_rows(residual).shape[2]
-    numbers = free_numbers(after.terms)
+    numbers = [] if has_fixed else free_numbers(after.terms)
     first = after.base.shape[2] - len(numbers)
     slopes = [derivative(residual, after.terms, n, in_body=True) for n in numbers]
     body_slopes = np.stack(slopes, axis=2) if slopes else np.empty((*residual.body.shape, 0))

@@ -1,6 +1,7 @@
 """A hypothesis put to the likelihood: a candidate of the library added to a model and fitted."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -69,8 +70,12 @@ def step_between(residual: Residual, before: Model, candidate: Candidate, after:
     return Step(candidate, after, gain, value)
 
 
+@lru_cache(maxsize=8)
 def without(residual: Residual, model: Model, place: int) -> Model:
-    """Return the model without one of its terms, numbers and noise fitted again."""
+    """Return the model without one of its terms, numbers and noise fitted again.
+
+    Pruning, confirming and judging ask for the same.
+    """
     terms = model.terms[:place] + model.terms[place + 1 :]
     return refit(residual, settle(residual, terms, model.noise, model.unknown, model.unknown_rows))
 

@@ -63,11 +63,15 @@ class Smooth:
 
 @dataclass(slots=True)
 class Library:
-    """All candidates and their responses `rows` [N, 6, K]."""
+    """All candidates and their responses `rows` [N, 6, K].
+
+    `refused` why by effect; `implausible` the terms that were dropped for their size, with gain.
+    """
 
     candidates: list[Candidate] = field(default_factory=list)
     rows: Floats = field(default_factory=lambda: np.empty((0, 6, 0)))
     refused: dict[str, str] = field(default_factory=dict)
+    implausible: dict[str, tuple[Term, float]] = field(default_factory=dict)
 
 
 def linear_entries(effect: Effect) -> list[Entry]:

@@ -71,8 +71,8 @@ def _solved(noise: Noise, gram: Floats, log_det: float) -> Fit:
     return Fit(noise, coefficients, covariance, log_likelihood, log_likelihood - 0.5 * gram_log_det)
 
 
-class _Score:
-    """Restricted likelihood of a noise with its slope and Fisher information."""
+class Posterior:
+    """Posterior of a noise: restricted likelihood and prior, with slope and information."""
 
     def __init__(self, residual: Residual, rows: Floats, prior: Floats) -> None:
         self._residual, self._rows = residual, np.ascontiguousarray(rows)
@@ -122,7 +122,7 @@ def fit_noise(
     parameters, under a weak prior: each within a factor of e^2 of its first guess. A restricted
     likelihood does not take the regressors' freedom for a smaller noise (Harville 1977).
     """
-    score = _Score(residual, np.concatenate([regressors, target[:, :, None]], axis=2), prior)
+    score = Posterior(residual, np.concatenate([regressors, target[:, :, None]], axis=2), prior)
     low, high = np.array(residual.noise_bounds()).T
     noise = np.clip(start, low, high)
     damping = 0.0

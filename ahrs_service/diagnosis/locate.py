@@ -8,7 +8,7 @@ import numpy as np
 from ahrs_service.diagnosis.library import regimes
 from ahrs_service.diagnosis.likelihood import solve
 from ahrs_service.diagnosis.model import Model
-from ahrs_service.diagnosis.residual import CHANNELS, Residual, bias_rows
+from ahrs_service.diagnosis.residual import CHANNELS, Residual, nuisance_rows
 from ahrs_service.diagnosis.result import Covariate, Where
 from ahrs_service.diagnosis.screen import surprise
 from ahrs_service.effects.base import Addition
@@ -59,7 +59,7 @@ def against_covariates(residual: Residual, before: Model, after: Model) -> tuple
     """
     covariates = regimes(residual.columns) | {"time": residual.columns.time_s}
     explained = before.misfit - after.misfit
-    base = bias_rows(residual)
+    base = nuisance_rows(residual)
     found = []
     for name, values in covariates.items():
         edges = _edges(values)
@@ -137,4 +137,8 @@ def _regime(residual: Residual, names: dict[str, Floats], t0_s: float, t1_s: flo
     }
     name = max(scores, key=lambda key: abs(scores[key]))
     mean = names[name][inside].mean()
-    return f"{'high' if scores[name] > 0 else 'low'} {name}, {mean:.3g} {_UNITS[name]}"
+    unit = _UNITS[name]
+    if unit.startswith("rad"):
+        mean, unit = np.degrees(mean), unit.replace("rad", "deg")
+    size = "high" if scores[name] > 0 else "low"
+    return f"{size} {name}, {mean:.3g} {unit}".removesuffix(" 1")

@@ -7,7 +7,7 @@ import numpy as np
 
 from ahrs_service.diagnosis.library import Term, limits, linear_entries, sources, unit_response
 from ahrs_service.diagnosis.likelihood import fit, fit_noise
-from ahrs_service.diagnosis.residual import Noise, Residual, bias_rows
+from ahrs_service.diagnosis.residual import Noise, Residual, nuisance_rows
 from ahrs_service.effects.base import Addition, Columns, Effect, Parameter
 from ahrs_service.records import Floats
 
@@ -20,15 +20,17 @@ was 4.0 of the sizes."""
 _TURNS: Final = 6
 _SETTLED_SIGMA: Final = 0.05
 _RELATIVE_STEP: Final = 1e-3
-_UNDO_TURNS: Final = 3
+_UNDO_TURNS: Final = 6
 _REFIT_TURNS: Final = 8
-_DYNAMIC: Final = ("low_pass", "time_offset", "clock_drift", "mounting_rotation")
+_TIMING: Final = ("time_offset", "clock_drift")
+_FORMING: Final = ("low_pass", "mounting_rotation")
+_DYNAMIC: Final = (*_TIMING, *_FORMING)
 """Effects large enough, and of a kind, that the reading is no substitute for the ideal motion."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Model:
-    """Terms and unknown columns fitted to a residual.
+    """Terms and unknown columns fitted to a residual; each is equal to itself alone.
 
     `unknown` [U] the smooth dependence that each column of `unknown_rows` [N, 6, U] is of;
     `log_likelihood` at its maximum; `covariance` [P, P] of the terms' free numbers in the order
@@ -69,19 +71,34 @@ def free_numbers(terms: tuple[Term, ...]) -> list[Number]:
 
 
 def motion_under(columns: Columns, terms: tuple[Term, ...]) -> Columns:
-    """Return the ideal motion where `columns` holds what an IMU with these terms reads."""
-    moving = [term for term in terms if term.effect.name in _DYNAMIC]
-    if not moving:
-        return columns
-    ideal = columns
-    for _ in range(_UNDO_TURNS):
-        rate, force = columns.rate_rad_s.copy(), columns.force_m_s2.copy()
+    """Return the ideal motion where `columns` holds what an IMU with these terms reads.
+
+    What is late is moved back; the rest by turns, u <- reading - added(u), which a filter brings
+    nearer by 1 - H each.
+    """
+    read = columns
+    for term in terms:
+        if term.effect.name in _TIMING:
+            early = {name: -np.asarray(value) for name, value in term.values.items()}
+            read = _with(read, term.effect.add(read, early), 1.0)
+    ideal = read
+    moving = [term for term in terms if term.effect.name in _FORMING]
+    for _ in range(_UNDO_TURNS if moving else 0):
+        under = read
         for term in moving:
-            added = term.effect.add(ideal, term.values)
-            rate -= 0.0 if added.gyro is None else added.gyro
-            force -= 0.0 if added.accel is None else added.accel
-        ideal = replace(ideal, rate_rad_s=rate, force_m_s2=force)
+            under = _with(under, term.effect.add(ideal, term.values), -1.0)
+        ideal = under
     return ideal
+
+
+def _with(columns: Columns, added: Addition, sign: float) -> Columns:
+    """Return the motion of `columns` with `sign` times what is added to it."""
+    rate, force = columns.rate_rad_s, columns.force_m_s2
+    return replace(
+        columns,
+        rate_rad_s=rate if added.gyro is None else rate + sign * added.gyro,
+        force_m_s2=force if added.accel is None else force + sign * added.accel,
+    )
 
 
 def _motion(residual: Residual, effect: Effect, terms: tuple[Term, ...]) -> Columns:
@@ -165,7 +182,7 @@ def _possible(residual: Residual, terms: tuple[Term, ...]) -> tuple[Term, ...]:
 def _base(residual: Residual, terms: tuple[Term, ...], unknown_rows: Floats) -> Floats:
     columns = [derivative(residual, terms, number) for number in free_numbers(terms)]
     own = np.stack(columns, axis=2) if columns else np.empty((*residual.rows.shape, 0))
-    return np.concatenate([bias_rows(residual), unknown_rows, own], axis=2)
+    return np.concatenate([nuisance_rows(residual), unknown_rows, own], axis=2)
 
 
 def _prior(terms: tuple[Term, ...], numbers: list[Number], count: int) -> Floats:
@@ -238,9 +255,8 @@ def settle(
 def refit(residual: Residual, model: Model, turns: int = 2) -> Model:
     """Fit numbers and noise in turn."""
     for _ in range(turns):
-        noise = fit_noise(
-            residual, model.base, model.misfit, model.prior, model.noise, _REFIT_TURNS
-        )
+        start = _better_start(residual, model)
+        noise = fit_noise(residual, model.base, model.misfit, model.prior, start, _REFIT_TURNS)
         before = model.log_likelihood
         model = settle(residual, model.terms, noise, model.unknown, model.unknown_rows)
         if model.log_likelihood - before < 0.3:
@@ -248,10 +264,20 @@ def refit(residual: Residual, model: Model, turns: int = 2) -> Model:
     return model
 
 
+def _better_start(residual: Residual, model: Model) -> Noise:
+    """Return the model's noise, or the first guess where that is now the likelier of both.
+
+    A large effect not yet in the model inflates its noise beyond the way back.
+    """
+    first = residual.first_noise()
+    afresh = fit(residual, first, model.base, model.misfit, model.prior)
+    return first if afresh.log_likelihood > model.log_likelihood else model.noise
+
+
 def bare(residual: Residual) -> Model:
     """Return the model without any effect, with the noise that this asks for."""
     noise = residual.first_noise()
-    base = bias_rows(residual)
+    base = nuisance_rows(residual)
     prior = np.zeros((base.shape[2] + 1, base.shape[2] + 1))
     for _ in range(2):
         choose(residual, noise, base, residual.rows, prior)

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import butter, savgol_filter, sosfiltfilt, welch
+from scipy.signal import butter, savgol_filter, sosfiltfilt, spectrogram
+from scipy.stats import chi2
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.diagnosis.recorded import Recorded, Series
@@ -127,15 +128,21 @@ def density(time_s: Floats, readings: Floats) -> float:
     """Return the white noise density [unit/sqrt(Hz), two-sided] of readings [N, 3].
 
     The floor of their spectrum between motion, which is slower, and vibration, which is faster:
-    the lowest tenth between 3 and 20 Hz, of Welch spectra of 4 s.
+    the lowest tenth between 3 and 20 Hz, over that of chi-squared of two numbers per axis. Of
+    spectra of 4 s each the lowest tenth again, for in motion there is no floor.
     """
     rate_hz = (len(time_s) - 1) / (time_s[-1] - time_s[0])
-    frequency_hz, power = welch(readings, rate_hz, nperseg=int(_FLOOR_SEGMENT_S * rate_hz), axis=0)
+    length = int(_FLOOR_SEGMENT_S * rate_hz)
+    frequency_hz, _, power = spectrogram(
+        readings, rate_hz, "hann", length, length // 2, detrend="constant", axis=0
+    )
     band = (frequency_hz > _FLOOR_HZ[0]) & (frequency_hz < min(_FLOOR_HZ[1], 0.4 * rate_hz))
     if not band.any():
         return math.nan
-    floor = np.quantile(power[band].mean(axis=1), _FLOOR_QUANTILE)
-    return float(np.sqrt(0.5 * floor))
+    freedom = 2 * readings.shape[1]
+    floors = np.quantile(power[band].mean(axis=1), _FLOOR_QUANTILE, axis=0)
+    floors *= freedom / chi2.ppf(_FLOOR_QUANTILE, freedom)
+    return float(np.sqrt(0.5 * np.quantile(floors, _FLOOR_QUANTILE)))
 
 
 def witnessed(reference: Reference, like: Columns) -> Columns:

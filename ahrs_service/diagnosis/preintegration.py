@@ -20,12 +20,19 @@ def _turned(q: Floats, x: float, y: float, z: float, out: Floats) -> None:
 
 @kernel
 def preintegrate(
-    imu_s: Floats, gyro: Floats, accel: Floats, at_s: Floats, turns: Floats, speeds: Floats
+    imu_s: Floats,
+    gyro: Floats,
+    accel: Floats,
+    at_s: Floats,
+    excess: Floats,
+    turns: Floats,
+    speeds: Floats,
 ) -> None:
     """Write the turn [N-1, 4] and velocity [N-1, 3] [m/s] gathered between instants `at_s` [N].
 
-    `imu_s` [M], `gyro` [M, 3] [rad/s] and `accel` [M, 3] [m/s^2] are linear between samples;
-    velocity in the body axes of the interval's beginning. Midpoint rule over each piece between
+    `imu_s` [M], `gyro` [M, 3] [rad/s] and `accel` [M, 3] [m/s^2] are linear between samples, and
+    `excess` [N-1, 3] [rad/s] is taken off the gyro in each interval; velocity in the body axes of
+    the interval's beginning. Midpoint rule over each piece between
     samples: errors of second order in their step. The instants lie within `imu_s`.
     """
     q, step = np.empty(4), np.empty(4)
@@ -44,7 +51,7 @@ def preintegrate(
             length = stop - now
             share = (now + 0.5 * length - imu_s[i]) / (imu_s[i + 1] - imu_s[i])
             for j in range(3):
-                rate[j] = gyro[i, j] + share * (gyro[i + 1, j] - gyro[i, j])
+                rate[j] = gyro[i, j] + share * (gyro[i + 1, j] - gyro[i, j]) - excess[n, j]
                 force[j] = accel[i, j] + share * (accel[i + 1, j] - accel[i, j])
             half = 0.5 * length
             w, x, y, z = from_rotation_vector(rate[0] * half, rate[1] * half, rate[2] * half)

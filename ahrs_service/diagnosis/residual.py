@@ -24,6 +24,8 @@ class Residual(Protocol):
     `time_s` [N] of the rows, `rows` [N, 6] the misfit as it is whitened; `body` [N, 6] the same
     as rate [rad/s] and specific force [m/s^2] in body axes, for people. `columns` the motion by
     the best source there is, `witnessed` by the reference alone (the same where it is exact).
+    `moved` is called with every projection and whitening, of which diagnosis does thousands.
+    `nuisances` [N, 6, K] what the reference's own errors that no noise describes add to the rows.
     """
 
     time_s: Floats
@@ -36,7 +38,12 @@ class Residual(Protocol):
     ends: Floats
     ties: Floats
     scatter: Floats
+    nuisances: Floats
     noise_names: Sequence[str]
+    moved: Callable[[], None]
+
+    def __hash__(self) -> int:
+        """By identity: what was computed for a residual is kept."""
 
     def project(self, addition: Addition) -> Floats:
         """Return what an addition on the grid of `columns` adds to `rows` [N, 6]."""
@@ -71,3 +78,8 @@ def bias_rows(residual: Residual) -> Floats:
         addition = Addition(gyro=one) if sensor < 3 else Addition(accel=one)
         columns.append(residual.project(addition))
     return np.stack(columns, axis=2)
+
+
+def nuisance_rows(residual: Residual) -> Floats:
+    """Return what is always fitted [N, 6, 6 + K]: constant biases, and the reference's own."""
+    return np.concatenate([bias_rows(residual), residual.nuisances], axis=2)

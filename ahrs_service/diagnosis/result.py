@@ -81,6 +81,20 @@ class Unexplained:
 
 
 @dataclass(frozen=True, slots=True)
+class Implausible:
+    """An effect that would explain something, but only at a size that no IMU has.
+
+    `parameters` as fitted, `plausible` the largest of data sheets, both by name; `log_evidence`
+    what it would gain [nats].
+    """
+
+    effect: str
+    parameters: Mapping[str, Any]
+    plausible: Mapping[str, float]
+    log_evidence: float
+
+
+@dataclass(frozen=True, slots=True)
 class NotObservable:
     """An effect that this recording cannot show, and why."""
 
@@ -94,6 +108,30 @@ class FreeRun:
 
     before: float
     after: float
+
+
+@dataclass(frozen=True, slots=True)
+class TrueEffect:
+    """An effect that a recording is known to hold, with its parameters by name."""
+
+    effect: str
+    parameters: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Oracle:
+    """What the truth would have gained: the same figures with its numbers, none of them fitted.
+
+    `outside` what is hidden and has no equation here, in words; `found` and `oracle` the held-out
+    figures of what was found and of the truth, by triad ("gyro", "accel"): both before and after.
+    `free_run_deg` the truth's attitude error after 60 s of the gyro alone.
+    """
+
+    effects: tuple[TrueEffect, ...]
+    outside: tuple[str, ...]
+    found: Mapping[str, Holdout]
+    oracle: Mapping[str, Holdout]
+    free_run_deg: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +187,8 @@ class Diagnosis:
     covariates: tuple[Covariate, ...] = ()
     series: ResidualSeries | None = None
     notes: tuple[str, ...] = ()
+    oracle: Oracle | None = None
+    implausible: tuple[Implausible, ...] = ()
 
 
 def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -158,16 +198,23 @@ def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
         held_out |= asdict(diagnosis.holdout)
     if diagnosis.free_run is not None:
         held_out["free_run_attitude_error_60s_deg"] = asdict(diagnosis.free_run)
-    return {
+    report: dict[str, Any] = {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict,
         "effects": [_finding(finding) for finding in diagnosis.findings],
         "unexplained": [asdict(item) for item in diagnosis.unexplained],
         "not_observable": [asdict(item) for item in diagnosis.not_observable],
+        "implausible": [asdict(item) for item in diagnosis.implausible],
         "holdout": held_out,
         "noise": dict(diagnosis.noise),
         "notes": list(diagnosis.notes),
     }
+    if diagnosis.oracle is not None:
+        report["oracle"] = asdict(diagnosis.oracle)
+        if diagnosis.free_run is not None:
+            free_run = held_out["free_run_attitude_error_60s_deg"]
+            free_run["oracle"] = diagnosis.oracle.free_run_deg
+    return report
 
 
 def _finding(finding: Finding) -> dict[str, Any]:

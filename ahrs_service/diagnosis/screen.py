@@ -56,26 +56,26 @@ def grams(
     return own[:-1, :-1], own[:-1, -1], np.diag(own)[:-1] / energy
 
 
-def gain_of(candidate: Candidate, gram: Floats, target: Floats, share: Floats) -> float:
-    """Return the gain in log-likelihood [nats] of one candidate."""
+def gain_of(candidate: Candidate, gram: Floats, target: Floats, share: Floats) -> Floats:
+    """Return the gain in log-likelihood [nats] of one candidate: of `target` [K, ...] an [...]."""
     place = candidate.columns
     if candidate.is_whole:
-        return float(target[place][0] - 0.5 * gram[place, place][0, 0])
+        return np.asarray(target[place][0] - 0.5 * gram[place, place][0, 0])
     kept = np.flatnonzero(share[place] > _OWN_SHARE) + place.start
     if not len(kept):
-        return 0.0
+        return np.zeros(target.shape[1:])
     own = gram[np.ix_(kept, kept)]
     if candidate.effect is not None:
         sizes = np.array([SIZES * p.plausible for p, _ in linear_entries(candidate.effect)])
         own = own + np.diag(sizes[kept - place.start] ** -2.0)
     solution, _, _ = solve(own, target[kept])
-    return 0.5 * float(solution @ target[kept])
+    return np.asarray(0.5 * np.sum(solution * target[kept], axis=0))
 
 
 def screen(residual: Residual, noise: Noise, library: Library, base: Floats, rows: Floats) -> Gains:
     """Return the gains of all candidates of the library under one noise."""
     gram, target, share = grams(residual, noise, library, base, rows)
-    gains = np.array([gain_of(c, gram, target, share) for c in library.candidates])
+    gains = np.array([float(gain_of(c, gram, target, share)) for c in library.candidates])
     surprises = [
         surprise(gain, candidate.freedom)
         for gain, candidate in zip(gains, library.candidates, strict=True)

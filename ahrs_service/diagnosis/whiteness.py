@@ -26,10 +26,11 @@ def innovations(residual: Residual, model: Model) -> Floats:
 
 def whiteness(residual: Residual, model: Model) -> Whiteness:
     """Return the p-values of Ljung and Box's and of Jarque and Bera's test per channel."""
-    left = innovations(residual, model)
+    # Where a channel was not measured its innovation is nil.
+    left = [column[column != 0.0] for column in innovations(residual, model).T]
     return Whiteness(
-        tuple(_ljung_box(column) for column in left.T),
-        tuple(_jarque_bera(column) for column in left.T),
+        tuple(_ljung_box(column) for column in left),
+        tuple(_jarque_bera(column) for column in left),
     )
 
 

@@ -68,7 +68,8 @@ class Parameter:
     `step` a size at which the response is linear. Parameters that enter by their `grid` change
     the form of the response and are searched over, in whole numbers with `is_whole`; those without
     step or grid are conventions that keep their `default`. `is_off_diagonal` leaves the diagonal of
-    a matrix at zero.
+    a matrix at zero. `form_share` is by how much of its size (1 sigma) it depends on the form that
+    nature gives the effect.
     """
 
     name: str
@@ -83,6 +84,7 @@ class Parameter:
     bounds: tuple[float, float] = (-np.inf, np.inf)
     is_off_diagonal: bool = False
     is_whole: bool = False
+    form_share: float = 0.0
 
     def entries(self) -> list[tuple[int, ...]]:
         """Return the indices of the numbers that are free."""

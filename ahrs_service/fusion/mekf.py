@@ -53,11 +53,13 @@ def propagate(
     The rows are turned for all columns; of the columns only where row and column change both.
     """
     turn_rows(p, states, rotation_s, rate, impulse, turned)
-    for row in range(3):
-        _turn_row(p, row, states, rotation_s, rate, impulse)
     if states > GATED:
+        for row in range(3):
+            _turn_velocity_of_row(p, row, rotation_s, impulse)
         for row in range(VELOCITY, VELOCITY + 3):
-            _turn_row(p, row, states, rotation_s, rate, impulse)
+            _turn_velocity_of_row(p, row, rotation_s, impulse)
+    for row in range(3):
+        _turn_angle_of_row(p, row, states, rotation_s, rate)
     for row in range(3):
         for j in range(row):
             p[row, j] = p[j, row]
@@ -128,31 +130,34 @@ def _turn_gated_rows(p: Floats, rotation_s: Floats, turned: Floats) -> None:
 
 
 @kernel
-def _turn_row(
-    p: Floats, n: int, states: int, rotation_s: Floats, rate: Floats, impulse: Floats
-) -> None:
-    """Apply the transition to row `n`; velocity first, by the angle before."""
+def _turn_velocity_of_row(p: Floats, n: int, rotation_s: Floats, impulse: Floats) -> None:
+    """Apply the transition to the velocity in row `n`, by its angle before."""
     x, y, z = p[n, 0], p[n, 1], p[n, 2]
+    u, v, w = p[n, ACCEL_BIAS], p[n, ACCEL_BIAS + 1], p[n, ACCEL_BIAS + 2]
+    p[n, VELOCITY] += (y * impulse[2] - z * impulse[1]) - (
+        rotation_s[0, 0] * u + rotation_s[0, 1] * v + rotation_s[0, 2] * w
+    )
+    p[n, VELOCITY + 1] += (z * impulse[0] - x * impulse[2]) - (
+        rotation_s[1, 0] * u + rotation_s[1, 1] * v + rotation_s[1, 2] * w
+    )
+    p[n, VELOCITY + 2] += (x * impulse[1] - y * impulse[0]) - (
+        rotation_s[2, 0] * u + rotation_s[2, 1] * v + rotation_s[2, 2] * w
+    )
+
+
+@kernel
+def _turn_angle_of_row(p: Floats, n: int, states: int, rotation_s: Floats, rate: Floats) -> None:
+    """Apply the transition to the angle in row `n`."""
     a, b, c = p[n, GYRO_BIAS], p[n, GYRO_BIAS + 1], p[n, GYRO_BIAS + 2]
     if states > GATED:
-        u, v, w = p[n, ACCEL_BIAS], p[n, ACCEL_BIAS + 1], p[n, ACCEL_BIAS + 2]
-        p[n, VELOCITY] += (y * impulse[2] - z * impulse[1]) - (
-            rotation_s[0, 0] * u + rotation_s[0, 1] * v + rotation_s[0, 2] * w
-        )
-        p[n, VELOCITY + 1] += (z * impulse[0] - x * impulse[2]) - (
-            rotation_s[1, 0] * u + rotation_s[1, 1] * v + rotation_s[1, 2] * w
-        )
-        p[n, VELOCITY + 2] += (x * impulse[1] - y * impulse[0]) - (
-            rotation_s[2, 0] * u + rotation_s[2, 1] * v + rotation_s[2, 2] * w
-        )
         u, v, w = rate[0], rate[1], rate[2]
         m = GYRO_MATRIX
         a += u * p[n, m] + v * p[n, m + 1] + w * p[n, m + 2]
         b += u * p[n, m + 3] + v * p[n, m + 4] + w * p[n, m + 5]
         c += u * p[n, m + 6] + v * p[n, m + 7] + w * p[n, m + 8]
-    p[n, 0] = x - (rotation_s[0, 0] * a + rotation_s[0, 1] * b + rotation_s[0, 2] * c)
-    p[n, 1] = y - (rotation_s[1, 0] * a + rotation_s[1, 1] * b + rotation_s[1, 2] * c)
-    p[n, 2] = z - (rotation_s[2, 0] * a + rotation_s[2, 1] * b + rotation_s[2, 2] * c)
+    p[n, 0] -= rotation_s[0, 0] * a + rotation_s[0, 1] * b + rotation_s[0, 2] * c
+    p[n, 1] -= rotation_s[1, 0] * a + rotation_s[1, 1] * b + rotation_s[1, 2] * c
+    p[n, 2] -= rotation_s[2, 0] * a + rotation_s[2, 1] * b + rotation_s[2, 2] * c
 
 
 @kernel

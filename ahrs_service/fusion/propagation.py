@@ -1,6 +1,6 @@
 """From sample to sample: attitude and velocity move at once, the covariance once per turn.
 
-A turn is about 100 ms long; between turns the integrals that the covariance needs are gathered,
+A turn is about 120 ms long; between turns the integrals that the covariance needs are gathered,
 so a fast IMU costs little more than a slow one.
 """
 
@@ -32,6 +32,7 @@ PROPAGATION_FIELDS: Final = [
     ("turn_force_s", "f8"),
     ("turn_angle_variance", "f8"),
     ("turn_velocity_variance", "f8"),
+    ("turn_bias_variance", "f8"),
     ("turn_degc", "f8"),
     ("rate_earlier_rad_s", "f8", 3),
     ("accel_before_m_s2", "f8", 3),
@@ -45,12 +46,15 @@ PROPAGATION_FIELDS: Final = [
 """Fields of the pipeline's state that this module keeps; the last two: what was corrected since
 the covariance last grew, and how far all was turned about down [rad]."""
 
-TURN_S: Final = 0.1
-"""Corrections 10 times a second follow what drifts over seconds; shorter turns gain nothing."""
+TURN_S: Final = 0.12
+"""Corrections 8 times a second follow what drifts over seconds; shorter turns gain nothing."""
 GAP_RATE_SIGMA_RAD_S: Final = 1.0
 """What a small UAV may have turned, per second that no sample came [rad/s]."""
 GAP_FORCE_SIGMA_M_S2: Final = 3.0
 """And how it may have accelerated [m/s^2]."""
+ALIASED: Final = 1.0 / 36.0
+"""Of the rate's second differences, squared and summed over the axes, half is taken for shake that
+aliases: an error of each sample, which this sum has in it 18 times."""
 REST_FORCE_CORRELATION_S: Final = 0.1
 """How long a shake at rest pushes one way [s]."""
 WIND_WALK_M_S_RTS: Final = 0.1
@@ -75,17 +79,17 @@ def move(
     """Integrate one sample and gather what it adds to the turn.
 
     The rate between two samples is known to half of what it changed, so a slow or irregular
-    stream widens the covariance by itself.
+    stream widens the covariance by itself; so does shake (`ALIASED`).
     """
     before, rate = state["rate_before_rad_s"], state["rate_rad_s"]
     earlier, dcm = state["rate_earlier_rad_s"], state["dcm"]
-    change2, rate2 = _take_rate(state, gyro, dt_s)
+    unknown2, rate2 = _take_rate(state, gyro, dt_s)
     state["turn_angle_variance"] += settings["gyro_scale_error_rts"] ** 2 * rate2 * dt_s
     if flags & _GAP:
         state["turn_angle_variance"] += (GAP_RATE_SIGMA_RAD_S * dt_s) ** 2
         state["interval_before_s"] = 0.0
     else:
-        state["turn_angle_variance"] += change2 * dt_s * dt_s * (1.0 / 48.0)
+        state["turn_angle_variance"] += unknown2 * dt_s * dt_s
         before_s, is_mean = state["interval_before_s"], settings["samples_are_means"] != 0
         state["interval_before_s"] = dt_s
         strapdown.rotate(state["ned_from_body"], earlier, before, rate, before_s, dt_s, is_mean)
@@ -106,19 +110,25 @@ def move(
 
 @kernel
 def _take_rate(state: Record, gyro: Floats, dt_s: float) -> tuple[float, float]:
-    """Correct the rate; return the squares of its change since the last one and of itself."""
+    """Correct the rate; return the variance of the rate between this and the last, and its square.
+
+    Both summed over the axes, as if one axis had it all.
+    """
     before, rate = state["rate_before_rad_s"], state["rate_rad_s"]
     earlier, m = state["rate_earlier_rad_s"], state["gyro_matrix"]
-    change2 = rate2 = 0.0
+    change2 = bend2 = rate2 = 0.0
     for i in range(3):
         earlier[i] = before[i]
         before[i] = rate[i]
         crossed = m[i, 0] * gyro[0] + m[i, 1] * gyro[1] + m[i, 2] * gyro[2]
         rate[i] = gyro[i] - state["gyro_bias_rad_s"][i] - crossed
         state["turn_gyro_rad"][i] += gyro[i] * dt_s
-        change2 += (rate[i] - before[i]) ** 2
+        change = rate[i] - before[i]
+        bend = change - (before[i] - earlier[i])
+        change2 += change * change
+        bend2 += bend * bend
         rate2 += rate[i] * rate[i]
-    return change2, rate2
+    return change2 * (1.0 / 48.0) + bend2 * ALIASED, rate2
 
 
 @kernel
@@ -152,7 +162,9 @@ def _move_velocity(
     are_means = settings["samples_are_means"] != 0
     if are_means:
         _follow_arc(state, accel, dt_s, arc)
+    shake2 = 0.0
     for i in range(3):
+        shake2 += 0.5 * (now[i] - before[i]) ** 2
         if are_means:
             mean = dcm[i, 0] * arc[0] + dcm[i, 1] * arc[1] + dcm[i, 2] * arc[2]
         else:
@@ -164,6 +176,8 @@ def _move_velocity(
     state["velocity_ned_m_s"][2] += STANDARD_GRAVITY_M_S2 * dt_s
     state["turn_force_s"] += dt_s
     state["turn_velocity_variance"] += _velocity_noise2(settings, state, airframe, norm2) * dt_s
+    bias_walk_rts = settings["shaken_bias_walk_s_m_rts"][airframe]
+    state["turn_bias_variance"] += bias_walk_rts * bias_walk_rts * shake2 * dt_s
 
 
 @kernel
@@ -201,7 +215,7 @@ def grow(settings: Record, state: Record, degc: float, is_compensated: bool) -> 
     rotation_s, impulse = state["turn_rotation_s"], state["turn_impulse_m_s"]
     mekf.propagate(p, states, rotation_s, rate, impulse, state["turned_rows"])
     angle = settings["gyro_noise_rad_s_rthz"] ** 2 * turn_s + state["turn_angle_variance"]
-    bias = settings["gyro_bias_walk_rad_s2_rthz"] ** 2 * turn_s
+    bias = settings["gyro_bias_walk_rad_s2_rthz"] ** 2 * turn_s + state["turn_bias_variance"]
     per_rtdegc = settings["gyro_bias_per_rtdegc_rad_s"]
     if is_compensated:
         per_rtdegc = settings["compensated_bias_per_rtdegc_rad_s"]
@@ -233,6 +247,7 @@ def begin_turn(state: Record) -> None:
     state["turn_s"] = 0.0
     state["turn_angle_variance"] = 0.0
     state["turn_velocity_variance"] = 0.0
+    state["turn_bias_variance"] = 0.0
     state["turn_force_s"] = 0.0
     for i in range(3):
         state["turn_impulse_m_s"][i] = 0.0

@@ -1,11 +1,10 @@
-"""What a sensor adds that no calibration takes away: noise, wandering bias, steps of the output."""
+"""What a sensor adds that no calibration takes away: noise and wandering bias."""
 
 import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 from annotated_types import Ge, Gt
 
 from ahrs_service.kernel import kernel
@@ -66,12 +65,3 @@ def sensor_noise(rng: np.random.Generator, count: int, rate_hz: float, noise: Tr
     total += np.cumsum(steps, axis=0)
     total += gauss_markov(rng, (count, 3), noise.wander, noise.wander_s, rate_hz)
     return total
-
-
-def truncate_to_int16(values: npt.ArrayLike, unit: float) -> npt.NDArray[np.int16]:
-    """Return `values` in whole `unit`s as RAW_IMU and SCALED_IMU carry them.
-
-    The conversion cuts toward zero, so up to one unit is lost, and clips at 16 bits.
-    """
-    whole = np.trunc(np.asarray(values, np.float64) / unit)
-    return np.clip(whole, -32768, 32767).astype(np.int16)

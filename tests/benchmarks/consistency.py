@@ -1,6 +1,7 @@
 """Is the filter as sure as it may be? Its 1-sigma against its true error, on simulated flights.
 
-Run: python tests/benchmarks/consistency.py [--runs N] [--seconds S] [--phases] [--json OUT]
+Run: python tests/benchmarks/consistency.py [--runs N] [--seconds S] [--phases] [--data DIR]
+                                           [--no-flights] [--json OUT]
 
 Many flights with known truth, each with its own wind, turbulence, sensor and noise. NEES is the
 squared error in the metric of the filter's own covariance, psi^T P^-1 psi; divided by its number of
@@ -10,6 +11,10 @@ heading; "heading" about down; "attitude" all three. Instants lie 0.5 s apart an
 other, so they are no independent draws, but the flights are: "in 95 %" is how often the mean over
 them lies in its 95 % interval (Bar-Shalom, Li, Kirubarajan 2001, sec. 5.4). NIS is the square of
 the gate's tilt innovation in its own sigmas over 2, where the gate was open. rms and sigma in deg.
+
+The sensor "unit" is one of the consumer grade that the scenarios are flown with, better than the
+filter is told; that of the "class" has the errors that the settings of the class of airframe state,
+each drawn anew. The last table is of the real flights in DIR (coverage_in_flight.py).
 """
 
 import argparse
@@ -18,26 +23,40 @@ import json
 import math
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from coverage_in_flight import Coverage, coverage, coverage_table
+from error_angle import error_angle
+from flight_recordings import LOGS, read_flight, recordings
+from peers import SHARED_DATA, require_data
 from rich.console import Console
 from rich.table import Table
 
 from ahrs_service import pipeline
 from ahrs_service.records import ESTIMATE_DTYPE, Airframe, Floats, Phase, empty
-from ahrs_service.rotation import inverse_columns, multiply_columns
-from ahrs_service.sensor.parameters import Calibration, coefficients
+from ahrs_service.sensor.noise import TriadNoise
+from ahrs_service.sensor.parameters import Calibration, TriadCalibration, coefficients
 from ahrs_service.settings import FusionSettings, Settings
 from ahrs_service.simulation.environment import FIELD_NED_UT
+from ahrs_service.simulation.imu import Imu
 from ahrs_service.simulation.samples import samples_of
 from ahrs_service.simulation.scenario import SCENARIOS, Flight, make_flight
 
 RATE_HZ = 100.0
 INSTANT_SAMPLES = 50
-CASES = (("flight", 6), ("flight", 9), ("circling", 6), ("seed-flight", 6), ("rest", 6))
+CASES = (
+    ("flight", "unit", 6),
+    ("flight", "unit", 9),
+    ("circling", "unit", 6),
+    ("seed-flight", "unit", 6),
+    ("rest", "unit", 6),
+    ("flight", "class", 6),
+    ("circling", "class", 6),
+    ("seed-flight", "class", 6),
+)
 MODES = ("velocity", "gated")
 PARTS = {"tilt": (0, 1), "heading": (2,), "attitude": (0, 1, 2)}
 PARTS_OF = {6: ("tilt",), 9: ("tilt", "heading", "attitude")}
@@ -62,6 +81,7 @@ class Verdict:
     """
 
     scenario: str
+    sensor: str
     mode: str
     axes: int
     part: str
@@ -73,9 +93,29 @@ class Verdict:
     nis: float
 
 
-def fly(scenario: str, mode: Any, axes: int, seconds: float, seed: int) -> Run:
+def class_sensor() -> Imu:
+    """Sensor whose 1-sigmas are those that the settings of a fixed wing state."""
+    fusion, airframe = FusionSettings(), Settings().fixed_wing
+    matrix = tuple(map(tuple, (np.eye(3) + airframe.gyro_matrix_sigma).tolist()))
+    bias = (fusion.gyro_bias_sigma_rad_s,) * 3
+    offset = (airframe.accel_bias_sigma_m_s2,) * 3
+    return Imu(
+        calibration=Calibration(
+            gyro=TriadCalibration(matrix=matrix, bias=bias), accel=TriadCalibration(bias=offset)
+        ),
+        gyro_noise=TriadNoise(
+            density=fusion.gyro_noise_rad_s_rthz, walk=fusion.gyro_bias_walk_rad_s2_rthz
+        ),
+        accel_noise=TriadNoise(density=airframe.velocity_noise_m_s_rts),
+    )
+
+
+def fly(scenario: str, kind: str, mode: Any, axes: int, seconds: float, seed: int) -> Run:
     """Fly once and keep error and covariance at every instant after the alignment."""
-    sensor = SCENARIOS[scenario].imu.sibling(np.random.default_rng([seed, 99]))
+    imu = SCENARIOS[scenario].imu
+    if kind == "class":
+        imu = replace(class_sensor(), propeller=imu.propeller)
+    sensor = imu.sibling(np.random.default_rng([seed, 99]))
     flight = make_flight(scenario, seconds, seed, RATE_HZ, sensor)
     samples = samples_of(flight, Airframe.FIXED_WING, magnetometer=axes == 9)
     declination = math.degrees(math.atan2(FIELD_NED_UT[1], FIELD_NED_UT[0]))
@@ -94,22 +134,6 @@ def fly(scenario: str, mode: Any, axes: int, seconds: float, seed: int) -> Run:
     open_gate = (estimates["gate"] == 0) & (estimates["phase"] == Phase.RUNNING)
     innovation2 = estimates["gate_innovation"][open_gate] ** 2
     return Run(flight, last / RATE_HZ, psi, np.array(covariance)[running], innovation2)
-
-
-def error_angle(truth: Floats, estimate: Floats, axes: int) -> Floats:
-    """Rotation vectors psi [K, 3] with truth = dq(psi) estimate; six axes: without the heading.
-
-    dq is parted into a turn about down, which six axes cannot know, and a tilt before it.
-    """
-    error = multiply_columns(truth, inverse_columns(estimate))
-    if axes == 6:
-        turn = error * np.array([1.0, 0.0, 0.0, 1.0])
-        turn /= np.linalg.norm(turn, axis=1, keepdims=True)
-        error = multiply_columns(inverse_columns(turn), error)
-    error *= np.where(error[:, :1] < 0.0, -1.0, 1.0)
-    sine = np.linalg.norm(error[:, 1:], axis=1, keepdims=True)
-    angle = 2.0 * np.arctan2(sine, error[:, :1])
-    return error[:, 1:] * np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 0.0)
 
 
 def nees(run: Run, part: str) -> Floats:
@@ -131,7 +155,7 @@ def chi_square_mean_interval(freedom: int) -> tuple[float, float]:
     return low, high
 
 
-def judge(runs: list[Run], scenario: str, mode: str, axes: int, part: str) -> Verdict:
+def judge(runs: list[Run], scenario: str, kind: str, mode: str, axes: int, part: str) -> Verdict:
     """Put many runs together."""
     instants = min(len(run.time_s) for run in runs)
     each = np.array([nees(run, part)[-instants:] for run in runs])
@@ -143,6 +167,7 @@ def judge(runs: list[Run], scenario: str, mode: str, axes: int, part: str) -> Ve
     innovation2 = np.concatenate([run.innovation2 for run in runs])
     return Verdict(
         scenario=scenario,
+        sensor=kind,
         mode=mode,
         axes=axes,
         part=part,
@@ -174,15 +199,15 @@ def by_phase(runs: list[Run], part: str) -> Iterator[tuple[str, float, float, fl
 def table_of(verdicts: list[Verdict], runs: int) -> Table:
     """Return the table of all cases."""
     table = Table(title=f"{runs} flights each; the first row is what a consistent filter has")
-    for heading in ("scenario", "mode", "axes", "part"):
+    for heading in ("scenario", "sensor", "mode", "axes", "part"):
         table.add_column(heading, no_wrap=True)
     for heading in ("NEES", "sigma short", "in 95 %", "<1s", "<2s", "<3s", "rms", "sigma", "NIS"):
         table.add_column(heading, justify="right", no_wrap=True)
-    table.add_row(*("", "", "", "", "1", "1", "95", "68", "95", "99.7", "", "", "1"))
+    table.add_row(*("", "", "", "", "", "1", "1", "95", "68", "95", "99.7", "", "", "1"))
     for one in verdicts:
         shares = (100.0 * share for share in (one.inside, *one.covered))
         table.add_row(
-            *(one.scenario, one.mode, str(one.axes), one.part),
+            *(one.scenario, one.sensor, one.mode, str(one.axes), one.part),
             *(f"{one.nees:.2f}", f"{math.sqrt(one.nees):.2f}"),
             *(f"{share:.{digits}f}" for share, digits in zip(shares, (0, 0, 0, 1), strict=True)),
             *(f"{value:.2f}" for value in (one.rms_deg, one.sigma_deg, one.nis)),
@@ -201,23 +226,40 @@ def phase_table(runs: list[Run], title: str, part: str) -> Table:
     return table
 
 
+def real_flights(data: Path) -> dict[str, tuple[Coverage, Coverage, Coverage]]:
+    """Return how sigma covers the error on each recording: flown, aided in flight, on ground."""
+    found = {}
+    for name, path in recordings(
+        require_data(data, "the flight recordings"), list(LOGS), False
+    ).items():
+        flight = read_flight(name, path)
+        flown, grounded = coverage(flight, aided=False)
+        found[name] = flown, coverage(flight, aided=True)[0], grounded
+    return found
+
+
 def main() -> int:
     """Fly, judge, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=_Plain)
     parser.add_argument("--runs", type=int, default=30, help="flights of each case")
     parser.add_argument("--seconds", type=float, default=90.0, help="length of a flight")
     parser.add_argument("--phases", action="store_true", help="also by phase of flight")
+    parser.add_argument("--data", type=Path, default=SHARED_DATA / "flights", metavar="DIR")
+    parser.add_argument("--no-flights", action="store_true", help="simulated flights only")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the figures here too")
     args = parser.parse_args()
     verdicts, tables = [], []
-    for (scenario, axes), mode in itertools.product(CASES, MODES):
+    for (scenario, kind, axes), mode in itertools.product(CASES, MODES):
         seconds = args.seconds * (3.0 if scenario == "seed-flight" else 1.0)
-        runs = [fly(scenario, mode, axes, seconds, seed) for seed in range(1, args.runs + 1)]
+        runs = [fly(scenario, kind, mode, axes, seconds, seed) for seed in range(1, args.runs + 1)]
         for part in PARTS_OF[axes]:
-            verdicts.append(judge(runs, scenario, mode, axes, part))
+            verdicts.append(judge(runs, scenario, kind, mode, axes, part))
             if args.phases:
-                tables.append(phase_table(runs, f"{scenario}, {mode}, {axes} axes, {part}", part))
-    Console(width=120).print(table_of(verdicts, args.runs), *tables)
+                title = f"{scenario}, {kind}, {mode}, {axes} axes, {part}"
+                tables.append(phase_table(runs, title, part))
+    if not args.no_flights:
+        tables.append(coverage_table(real_flights(args.data)))
+    Console(width=140).print(table_of(verdicts, args.runs), *tables)
     if args.json is not None:
         args.json.write_text(json.dumps([asdict(one) for one in verdicts], indent=1) + "\n")
     return 0

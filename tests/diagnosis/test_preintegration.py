@@ -6,9 +6,9 @@ from scipy.spatial.transform import Rotation
 from ahrs_service.diagnosis.preintegration import preintegrate
 
 
-def gathered(imu_s, gyro, accel, at_s):
+def gathered(imu_s, gyro, accel, at_s, excess=(0.0, 0.0, 0.0)):
     turns, speeds = np.empty((len(at_s) - 1, 4)), np.empty((len(at_s) - 1, 3))
-    preintegrate(imu_s, gyro, accel, at_s, turns, speeds)
+    preintegrate(imu_s, gyro, accel, at_s, np.tile(excess, (len(at_s) - 1, 1)), turns, speeds)
     return turns, speeds
 
 
@@ -65,3 +65,7 @@ def test_force_in_a_turning_body_is_resolved_where_the_interval_begins():
     accel = np.stack([np.cos(rate * imu_s), -np.sin(rate * imu_s), 0.0 * imu_s], axis=1)
     _, speeds = gathered(imu_s, gyro, accel, np.array([0.0, 2.0]))
     np.testing.assert_allclose(speeds[0], [2.0, 0.0, 0.0], atol=1e-4)
+    biased = gathered(
+        imu_s, gyro + np.array([0.1, 0.0, -0.2]), accel, np.array([0.0, 2.0]), [0.1, 0.0, -0.2]
+    )
+    np.testing.assert_allclose(biased[1][0], [2.0, 0.0, 0.0], atol=1e-4)

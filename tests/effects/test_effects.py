@@ -1,6 +1,7 @@
 """Every effect of the catalogue: nil at its neutral parameters, and as its equation says."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -50,8 +51,6 @@ def test_a_neutral_effect_leaves_the_reading_bit_for_bit(name, seed):
 @given(seed=st.integers(0, 2**16))
 @settings(max_examples=5, deadline=None)
 def test_what_an_effect_adds_is_taken_away_again(effect, seed):
-    from dataclasses import replace
-
     columns = columns_of(seed)
     rng = np.random.default_rng(seed)
     values = effect.neutral()
@@ -76,8 +75,6 @@ def test_an_effect_touches_its_own_triad(name):
 
 
 def smooth_columns(rate_hz, frequency_hz=0.5):
-    from dataclasses import replace
-
     count = int(20.0 * rate_hz)
     base = columns_of(count=count, step_s=1.0 / rate_hz)
     wave = np.sin(2.0 * np.pi * frequency_hz * base.time_s)
@@ -93,6 +90,21 @@ def test_a_low_pass_has_the_gain_and_phase_of_the_analog_one():
     phase = math.atan(0.1)
     expected = math.cos(phase) * np.sin(2.0 * np.pi * columns.time_s[300:] - phase)
     np.testing.assert_allclose(filtered, expected, atol=3e-3)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("uneven_s", [0.0, 2e-3])
+def test_a_low_pass_of_a_ramp_lags_as_the_analog_one(order, uneven_s):
+    """What is drawn linearly, a ramp of unit slope, comes out late by the delay of the filter."""
+    rng = np.random.default_rng(9)
+    time_s = np.arange(100) * 0.02 + uneven_s * rng.uniform(size=100)
+    base = columns_of(count=100, step_s=0.02)
+    ramp = np.tile(np.maximum(time_s - time_s[10], 0.0)[:, None], 3)
+    columns = replace(base, time_s=time_s, rate_rad_s=ramp, force_m_s2=ramp)
+    values = {"cutoff_hz": np.asarray(4.0), "order": np.asarray(float(order))}
+    late = -effect_of("gyro_low_pass").add(columns, values).gyro[-1, 1]
+    delay_s = (1.0 if order == 1 else math.sqrt(2.0)) / (2.0 * math.pi * 4.0)
+    assert late == pytest.approx(delay_s, rel=1e-9 if uneven_s == 0.0 else 1e-6)
 
 
 def test_an_offset_shows_the_past():
@@ -138,8 +150,6 @@ def test_the_earth_turns_by_15_deg_an_hour_about_its_axis():
 
 def test_five_centimetres_at_200_deg_s_are_0_61_m_s2():
     """../shared/mismatch/README.md, magnitudes."""
-    from dataclasses import replace
-
     columns = columns_of()
     zeros = np.zeros_like(columns.rate_rad_s)
     spin = zeros + np.array([0.0, 0.0, np.radians(200.0)])

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ahrs_service.sensor.noise import TriadNoise, gauss_markov, sensor_noise, truncate_to_int16
+from ahrs_service.sensor.noise import TriadNoise, gauss_markov, sensor_noise
 
 RATE_HZ = 100.0
 COUNT = 200_000
@@ -42,9 +42,3 @@ def test_the_same_seed_gives_the_same_noise():
     noise = TriadNoise(0.01, 0.001, 0.1, 5.0)
     first, second = (sensor_noise(np.random.default_rng(9), 50, 50.0, noise) for _ in range(2))
     np.testing.assert_array_equal(first, second)
-
-
-def test_int16_cuts_toward_zero_and_clips():
-    unit = 9.80665e-3
-    values = np.array([1.99, -1.99, 0.99, -0.99, 40_000.0, -40_000.0]) * unit
-    assert truncate_to_int16(values, unit).tolist() == [1, -1, 0, 0, 32767, -32768]
