@@ -307,7 +307,10 @@ def _confirmed(residual: Residual, model: Model, taken: list[Step]) -> tuple[Mod
 def _agreed(
     residual: Residual, model: Model, taken: list[Step], unknown: dict[str, float]
 ) -> tuple[Model, list[Step], dict[str, float]]:
-    """Leave out what parts of the recording contradict each other on, the last found first."""
+    """Leave out what parts of the recording contradict each other on, the weakest first.
+
+    The strongest effect stays: what the others leave of it makes its parts differ.
+    """
     for name in reversed(model.unknown):
         ratio = scatter_of_unknown(residual, model, model.unknown.index(name))
         if ratio > 1.0:
@@ -316,13 +319,20 @@ def _agreed(
             if surprise(gain / ratio, _columns_of(model, name)) < UNKNOWN_ALARM:
                 model = shorter
                 unknown = {key: value for key, value in unknown.items() if key != name}
-    for place in reversed(range(len(taken))):
-        ratio = scatter_of_term(residual, model, place)
-        if ratio > 1.0:
-            shorter = _without(residual, model, place)
-            gain = gain_between(residual, shorter, model)
-            if surprise(gain / ratio, taken[place].candidate.freedom) < ALARM:
-                model, taken = shorter, taken[:place] + taken[place + 1 :]
+    while len(taken) > 1:
+        ratios = [scatter_of_term(residual, model, place) for place in range(len(taken))]
+        if max(ratios) == 1.0:
+            break
+        others = [_without(residual, model, place) for place in range(len(taken))]
+        gains = [gain_between(residual, one, model) for one in others]
+        left = [
+            surprise(gain / ratio, step.candidate.freedom) if gain < max(gains) else np.inf
+            for gain, ratio, step in zip(gains, ratios, taken, strict=True)
+        ]
+        weakest = int(np.argmin(left))
+        if left[weakest] >= ALARM or ratios[weakest] == 1.0:
+            break
+        model, taken = others[weakest], taken[:weakest] + taken[weakest + 1 :]
     return model, taken, unknown
 
 
