@@ -209,9 +209,9 @@ def search(residual: Residual, library: Library, progress: Progress | None = Non
             taken.append(step)
             model, taken = _swap(residual, library, model, taken)
         tell(0.25 + 0.1 * (turn + 1))
+    model, taken, unknown = _agreed(residual, model, taken, unknown)
     model, taken, unknown = _pruned(residual, model, taken, unknown)
     model, taken = _confirmed(residual, model, taken)
-    model, taken, unknown = _agreed(residual, model, taken, unknown)
     tell(0.8)
     scatter = tuple(scatter_of_term(residual, model, place) for place in range(len(taken)))
     steps, alike, rivals = [], [], []
