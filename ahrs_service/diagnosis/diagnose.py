@@ -109,6 +109,9 @@ def diagnose(
     bar.enter(_of_search(1.0), _JUDGED)
     model = found.model
     known = variances(residual, model)
+    for number, own in enumerate(free_numbers(model.terms)):
+        scattered = found.scatter[own.term] * model.covariance[number, number]
+        known[number] = max(known[number], scattered)
     findings = tuple(
         _finding(residual, found, step, place, known) for place, step in enumerate(found.steps)
     )
