@@ -47,6 +47,15 @@ def is_clearer(gain: float, freedom: int, named_gain: float, named_freedom: int)
     return more > CLEARLY and gain > (1.0 + _FORM_SHARE) * named_gain
 
 
+def is_clearer_than(residual: Residual, unknown: Step, named: Model, freedom: int) -> bool:
+    """Whether an unknown dependence explains clearly more than `named` with its `freedom` numbers.
+
+    Both under the better of both noises: a fit of the noise may end beside its best.
+    """
+    named_gain = unknown.gain - gain_between(residual, named, unknown.model)
+    return is_clearer(unknown.gain, unknown.candidate.freedom, named_gain, freedom)
+
+
 def best_unknown(
     residual: Residual,
     library: Library,
@@ -93,7 +102,7 @@ def unknown_instead(
     step = best_unknown(
         residual, library, shorter, forms, max(least, 0.5 * evidence(gain, freedom))
     )
-    if step is None or not is_clearer(step.gain, step.candidate.freedom, gain, freedom):
+    if step is None or not is_clearer_than(residual, step, model, freedom):
         return None
     return step, beside
 

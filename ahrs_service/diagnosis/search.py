@@ -14,7 +14,7 @@ import numpy as np
 from ahrs_service.diagnosis.agreement import scatter_of_term, scatter_of_unknown
 from ahrs_service.diagnosis.chance import alarm, hypotheses, maxima
 from ahrs_service.diagnosis.classes import ALIKE, SHARE_OF_MAIN, alike
-from ahrs_service.diagnosis.form import as_telling, best_unknown, is_clearer, unknown_instead
+from ahrs_service.diagnosis.form import as_telling, best_unknown, is_clearer_than, unknown_instead
 from ahrs_service.diagnosis.holdout import held_out
 from ahrs_service.diagnosis.hypotheses import (
     Step,
@@ -100,8 +100,7 @@ def best_step(residual: Residual, library: Library, model: Model, least: float) 
     least_unknown = max(UNKNOWN_ALARM, 0.0 if named is None else 0.5 * named.surprise)
     unknown = best_unknown(residual, library, model, forms, least_unknown)
     if unknown is not None and (
-        named is None
-        or is_clearer(unknown.gain, unknown.candidate.freedom, named.gain, named.candidate.freedom)
+        named is None or is_clearer_than(residual, unknown, named.model, named.candidate.freedom)
     ):
         return unknown
     return named if named is not None and named.surprise > least else None

@@ -9,8 +9,10 @@ from ahrs_service.app.blind_files import case_bytes
 from ahrs_service.app.recorded_columns import read_columns
 from ahrs_service.diagnosis.blind.case import Request, make
 from ahrs_service.diagnosis.diagnose import compare, diagnose
-from ahrs_service.diagnosis.form import evidence, is_clearer
-from ahrs_service.diagnosis.library import products, spline_basis
+from ahrs_service.diagnosis.form import evidence, is_clearer, is_clearer_than
+from ahrs_service.diagnosis.hypotheses import extend
+from ahrs_service.diagnosis.library import library_of, products, spline_basis
+from ahrs_service.diagnosis.model import bare
 
 
 @pytest.mark.parametrize(("freedom", "gain"), [(1, 3.0), (3, 12.0), (12, 150.0)])
@@ -96,3 +98,21 @@ def test_what_goes_with_the_force_itself_keeps_its_name(tmp_path):
     found = diagnosed(tmp_path, effects=("gyro_g_sensitivity",), level=1)
     assert [finding.effect for finding in found.findings] == ["gyro_g_sensitivity"]
     assert found.unexplained == ()
+
+
+def test_an_unknown_dependence_that_says_the_same_is_not_clearer(tmp_path):
+    """A current coupling of fixed noise against a straight line of the current, noise fitted."""
+    path = tmp_path / "hidden.tlog"
+    request = Request("hidden", "copter", 3503, 60, effects=("gyro_current_coupling",), level=1)
+    path.write_bytes(case_bytes(make(request)))
+    residual = compare(read_columns(path))
+    library, empty = library_of(residual, ("gyro_current_coupling",)), bare(residual)
+    named, line = (
+        library.candidates[0],
+        next(c for c in library.candidates if c.name == "gyro current"),
+    )
+    coupling = extend(residual, library, empty, named, has_noise=False)
+    unknown = extend(residual, library, empty, line, has_noise=True)
+    assert named.freedom == line.freedom == 3
+    assert not is_clearer_than(residual, unknown, coupling.model, 3)
+    assert is_clearer_than(residual, unknown, empty, 0)
