@@ -46,7 +46,9 @@ def read_truth(path: Path) -> dict[str, Any]:
     """Read a truth file; RecordingError says what is wrong with it."""
     try:
         truth = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        raise RecordingError(f"{path}: {error.strerror}; check the path of the truth") from error
+    except ValueError as error:
         raise RecordingError(f"{path}: {error}; a truth is JSON beside its .tlog") from error
     if not isinstance(truth, dict) or not {"kind", "level", "effects"} <= truth.keys():
         raise RecordingError(f"{path}: no kind, level and effects; see shared mismatch cases")

@@ -13,6 +13,7 @@ a calibration, which the estimator compensates live (run --calibration).
 import argparse
 import dataclasses
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -31,9 +32,10 @@ from ahrs_service.calibration.folding import fold
 from ahrs_service.diagnosis.diagnose import diagnose
 from ahrs_service.diagnosis.known import without_effects
 from ahrs_service.diagnosis.recorded import Recorded
-from ahrs_service.diagnosis.result import Diagnosis, as_json
+from ahrs_service.diagnosis.result import Diagnosis, ResidualSeries, as_json
 from ahrs_service.effects.base import Effect, Values
 from ahrs_service.effects.catalogue import effect_of
+from ahrs_service.records import Floats
 from ahrs_service.sensor.compensation import compensate_columns
 from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.simulation.imu import Imu
@@ -41,8 +43,8 @@ from links.errors import RecordingError
 from links.recording_formats import KNOWN
 
 EXIT_DONE: Final = 0
-_PANELS_SHOWN: Final = 12
-"""Panels of residual against covariate in the viewer, as many as can be read at once."""
+_PANELS_SHOWN: Final = 6
+"""Panels of residual against covariate in one picture of the viewer: as many as can be read."""
 _READ: Final = 0.05
 """Share of the whole time in which a recording is read."""
 
@@ -201,11 +203,13 @@ def _write_rrd(path: Path, name: str, diagnosis: Diagnosis) -> None:
     from viz import report_plots as plots  # noqa: PLC0415
     from viz.report_rrd import write_report  # noqa: PLC0415
 
-    telling = most_telling(diagnosis.covariates)[:_PANELS_SHOWN]
+    telling = most_telling(diagnosis.covariates)
     pictures = {}
-    if telling:
-        picture = plots.against_covariates(telling)
-        pictures["Residual against what it may depend on"] = plots.as_png(picture)
+    for first in range(0, len(telling), _PANELS_SHOWN):
+        shown = telling[first : first + _PANELS_SHOWN]
+        about = " and ".join(dict.fromkeys(item.covariate for item in shown[:2]))
+        title = f"Residual against {about}, ..."
+        pictures[title] = plots.as_png(plots.against_covariates(shown))
     where = {
         finding.effect: [(one.t0_s, one.t1_s, one.regime) for one in finding.where]
         for finding in diagnosis.findings
@@ -216,21 +220,30 @@ def _write_rrd(path: Path, name: str, diagnosis: Diagnosis) -> None:
     }
     lines = [f"# {name}", text.VERDICTS[diagnosis.verdict]]
     for finding in diagnosis.findings:
-        lines += [f"## {text.title(finding.effect)}", text.paragraph(finding)]
+        lines += [f"## {text.title(finding.effect)}", text.paragraph(finding, has_numbers=False)]
+        lines.append(_markdown(("fitted", "x", "y", "z"), text.parameter_rows(finding)))
     lines += [text.unexplained_text(item) for item in diagnosis.unexplained]
+    lines += [text.implausible_text(item) for item in diagnosis.implausible]
     series = diagnosis.series
     empty = np.zeros((0, 6))
-    time_s, before, after = (
-        (np.zeros(0), empty, empty)
-        if series is None
-        else (series.time_s, series.before, series.after)
-    )
+    time_s, before, after = (np.zeros(0), empty, empty) if series is None else _without_bias(series)
     try:
         write_report(path, time_s, before, after, where, "\n\n".join(lines), pictures)
     except OSError as error:
         raise RecordingError(
             f"{path}: {error.strerror}; give a file in a folder that can be written"
         ) from None
+
+
+def _markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+
+
+def _without_bias(series: ResidualSeries) -> tuple[Floats, Floats, Floats]:
+    """Return time, before and after without the constant bias that is left: it is no finding."""
+    bias = series.after.mean(axis=0)
+    return series.time_s, series.before - bias, series.after - bias
 
 
 def _write_calibration(path: Path, twin: Imu, diagnosis: Diagnosis, console: Console) -> None:

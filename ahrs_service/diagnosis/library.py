@@ -237,8 +237,11 @@ def regimes(columns: Columns) -> dict[str, Floats]:
         "pitch": np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)),
         "heading": np.arctan2(2.0 * (w * z + x * y), 1.0 - down[:, 2] - down[:, 3]),
     }
-    if columns.supply_v is not None:
-        known["voltage"] = columns.supply_v
+    known |= {
+        name: values
+        for name, values in (("voltage", columns.supply_v), ("altitude", columns.altitude_m))
+        if values is not None
+    }
     spread = {name: np.ptp(values) for name, values in known.items()}
     return {
         name: values
