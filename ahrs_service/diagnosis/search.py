@@ -38,7 +38,7 @@ from ahrs_service.diagnosis.residual import Residual
 from ahrs_service.diagnosis.screen import screen, surprise
 
 ALARM: Final = alarm(20.0)
-"""Surprise [nats] from which a hypothesis is believed: 7.6. By the bootstrap of the maximum
+"""Surprise [nats] from which a hypothesis is believed: 8.3. By the bootstrap of the maximum
 (diagnosis.chance) a recording's library amounts to 14 to 27 independent hypotheses."""
 
 UNKNOWN_ALARM: Final = 16.0
