@@ -390,3 +390,19 @@ def test_a_wrecked_state_aligns_anew(field, value):
     estimate = run(still(1000, roll=0.3)[400:], state)[-1]
     assert estimate["phase"] == Phase.RUNNING
     assert euler_columns(estimate["ned_from_body"])[0] == pytest.approx(0.3, abs=0.02)
+
+
+def test_a_vehicle_that_stands_is_at_rest_within_three_seconds():
+    """One second aligns, two averages forget the doubt of the start, the last confirms."""
+    samples = still(300)
+    state = pipeline.new_state()
+    estimates = empty(ESTIMATE_DTYPE, len(samples))
+    pipeline.batch(
+        pipeline.parameters(Settings()),
+        coefficients(Calibration.ideal()),
+        state,
+        samples,
+        estimates,
+    )
+    assert state["at_rest"][0] == 1
+    assert np.degrees(estimates["attitude_sigma_rad"][-1, :2]).max() < 1.0

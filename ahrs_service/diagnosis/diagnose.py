@@ -36,6 +36,7 @@ from ahrs_service.diagnosis.whiteness import whiteness
 from ahrs_service.records import Floats
 
 _AXIS_SIGMA: Final = 3.0
+_GENERAL: Final = dict.fromkeys(("roll", "pitch", "heading"), "attitude") | {"altitude": "pressure"}
 _FALLBACK: Final = "whole recording"
 _COMPARED, _PROJECTED, _SEARCH, _JUDGED = 0.06, 0.24, 0.56, 0.85
 """Shares of the whole time: compared, responses projected, the search's own, findings judged."""
@@ -108,6 +109,9 @@ def diagnose(
     bar.enter(_of_search(1.0), _JUDGED)
     model = found.model
     known = variances(residual, model)
+    for number, own in enumerate(free_numbers(model.terms)):
+        scattered = found.scatter[own.term] * model.covariance[number, number]
+        known[number] = max(known[number], scattered)
     findings = tuple(
         _finding(residual, found, step, place, known) for place, step in enumerate(found.steps)
     )
@@ -144,11 +148,8 @@ def _channels(name: str) -> str:
 
 
 def _covariates(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the covariates with the general word after those that are angles."""
-    words = []
-    for name in names:
-        is_angle = name in ("roll", "pitch", "heading")
-        words += [name, "attitude"] if is_angle else [name]
+    """Return the covariates, each with the more general word for it."""
+    words = [word for name in names for word in (name, _GENERAL.get(name, name))]
     return tuple(dict.fromkeys(words))
 
 

@@ -125,14 +125,14 @@ def sources(residual: Residual, effect: Effect) -> Columns:
 def limits(residual: Residual, effect: Effect) -> tuple[float, float]:
     """Return the smallest and the largest limit that can have cut an effect's triad.
 
-    Readings that end many times at the same value tell it; else it is no less than what was read
-    of the motion, give or take noise.
+    Readings that end many times at the same value tell it; else it is no less than the largest
+    reading, vibration with it, give or take a scale error that was corrected behind it.
     """
     part = slice(0, 3) if effect.triad == "gyro" else slice(3, 6)
     axis = int(np.argmax(residual.ends[part]))
     if residual.ties[part][axis] >= _LEAST_TIES:
         return float(residual.ends[part][axis]), float(residual.ends[part][axis])
-    return _LIMITS[0] * float(residual.largest[part].max()), np.inf
+    return _LIMITS[0] * float(residual.ends[part].max()), np.inf
 
 
 def forms_of(residual: Residual, effect: Effect) -> list[dict[str, float]]:
@@ -143,8 +143,7 @@ def forms_of(residual: Residual, effect: Effect) -> list[dict[str, float]]:
     low, high = limits(residual, effect)
     if high == low:
         return [{"limit": low}]
-    tried = [residual.largest[part].max() * share for share in _LIMITS]
-    return [{"limit": float(limit)} for limit in (*tried, residual.ends[part].max())]
+    return [{"limit": float(residual.ends[part].max() * share)} for share in _LIMITS]
 
 
 def missing_covariate(effect: Effect, columns: Columns) -> str | None:
@@ -238,8 +237,11 @@ def regimes(columns: Columns) -> dict[str, Floats]:
         "pitch": np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)),
         "heading": np.arctan2(2.0 * (w * z + x * y), 1.0 - down[:, 2] - down[:, 3]),
     }
-    if columns.supply_v is not None:
-        known["voltage"] = columns.supply_v
+    known |= {
+        name: values
+        for name, values in (("voltage", columns.supply_v), ("altitude", columns.altitude_m))
+        if values is not None
+    }
     spread = {name: np.ptp(values) for name, values in known.items()}
     return {
         name: values

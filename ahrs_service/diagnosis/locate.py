@@ -28,6 +28,7 @@ _UNITS: Final = {
     "pitch": "rad",
     "heading": "rad",
     "voltage": "V",
+    "altitude": "m",
     "time": "s",
 }
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, savgol_filter, sosfiltfilt, spectrogram
@@ -56,6 +57,14 @@ def _vibration(series: Series) -> Series:
     return _smoothed(Series(series.time_s, series.values.mean(axis=1)), _SHAKEN_S)
 
 
+def _altitude(velocity: Series) -> Series:
+    """Return the height climbed since the beginning, the reference's vertical speed integrated."""
+    if not len(velocity):
+        return velocity
+    climbed = cumulative_trapezoid(-velocity.values[:, 2], velocity.time_s, initial=0.0)
+    return Series(velocity.time_s, climbed)
+
+
 _SHAKEN_S: Final = 0.15
 """The same for vibration, which follows the motors within tenths of a second."""
 
@@ -85,6 +94,7 @@ def covariates(
         airspeed_m_s=_smoothed(recorded.airspeed_m_s, _SMOOTH_S).at(time_s),
         ned_from_body=attitude,
         supply_v=_smoothed(recorded.supply_v, _SMOOTH_S).at(time_s),
+        altitude_m=_altitude(recorded.velocity_ned_m_s).at(time_s),
     )
 
 

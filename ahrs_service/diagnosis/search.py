@@ -174,10 +174,10 @@ def search(residual: Residual, library: Library, progress: Progress | None = Non
             taken.append(step)
             model, taken = _swap(residual, library, model, taken)
         tell(0.25 + 0.1 * (turn + 1))
+    model, taken, unknown = _agreed(residual, model, taken, unknown)
     model, taken, unknown = _pruned(residual, model, taken, unknown)
     model, taken, unknown = _reformed(residual, library, model, taken, unknown)
     model, taken = _confirmed(residual, model, taken)
-    model, taken, unknown = _agreed(residual, model, taken, unknown)
     tell(0.8)
     telling = {
         name: as_telling(residual, library, without_unknown(residual, model, name), name)
@@ -302,7 +302,10 @@ def _confirmed(residual: Residual, model: Model, taken: list[Step]) -> tuple[Mod
 def _agreed(
     residual: Residual, model: Model, taken: list[Step], unknown: dict[str, float]
 ) -> tuple[Model, list[Step], dict[str, float]]:
-    """Leave out what parts of the recording contradict each other on, the last found first."""
+    """Leave out what parts of the recording contradict each other on, the weakest first.
+
+    The strongest effect stays: what the others leave of it makes its parts differ.
+    """
     for name in reversed(tuple(unknown)):
         ratio = scatter_of_unknown(residual, model, name)
         if ratio > 1.0:
@@ -311,11 +314,18 @@ def _agreed(
             if surprise(gain / ratio, model.unknown.count(name)) < UNKNOWN_ALARM:
                 model = shorter
                 unknown = {key: value for key, value in unknown.items() if key != name}
-    for place in reversed(range(len(taken))):
-        ratio = scatter_of_term(residual, model, place)
-        if ratio > 1.0:
-            shorter = without(residual, model, place)
-            gain = gain_between(residual, shorter, model)
-            if surprise(gain / ratio, taken[place].candidate.freedom) < ALARM:
-                model, taken = shorter, taken[:place] + taken[place + 1 :]
+    while len(taken) > 1:
+        ratios = [scatter_of_term(residual, model, place) for place in range(len(taken))]
+        if max(ratios) == 1.0:
+            break
+        others = [without(residual, model, place) for place in range(len(taken))]
+        gains = [gain_between(residual, one, model) for one in others]
+        left = [
+            surprise(gain / ratio, step.candidate.freedom) if gain < max(gains) else np.inf
+            for gain, ratio, step in zip(gains, ratios, taken, strict=True)
+        ]
+        weakest = int(np.argmin(left))
+        if left[weakest] >= ALARM or ratios[weakest] == 1.0:
+            break
+        model, taken = others[weakest], taken[:weakest] + taken[weakest + 1 :]
     return model, taken, unknown

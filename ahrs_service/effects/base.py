@@ -35,7 +35,7 @@ class Columns:
     `vibration_m_s2` [N] 1-sigma of the vibration, mean of the three axes; `current_a` [N] of the
     battery; `throttle` [N] 0 to 1; `airspeed_m_s` [N]; `ned_from_body` [N, 4]. `scatter` [N, 6]
     1-sigma of what the readings (gyro, accel) hold beside this motion, where it is left out of it.
-    `supply_v` [N] of the battery.
+    `supply_v` [N] of the battery, `altitude_m` [N] above where the recording begins.
     """
 
     time_s: Floats
@@ -52,6 +52,7 @@ class Columns:
     ned_from_body: Floats
     scatter: Floats | None = None
     supply_v: Floats | None = None
+    altitude_m: Floats | None = None
 
     def knows(self, name: str) -> bool:
         """Whether the covariate `name` is there at every instant."""

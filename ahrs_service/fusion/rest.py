@@ -43,6 +43,8 @@ RATE_CORRELATION_S: Final = 0.2
 BIAS_GATE: Final = 3.0
 BIAS_FLOOR_RAD_S: Final = 0.01
 """A bias may step by this between power-on and flight and is still learnt [rad/s]."""
+START_DOUBT_M2_S4: Final = 7.4 * FORCE_SIGMA_M_S2**2
+"""Variance of the force before any is known: forgotten to that of rest after two averages."""
 LONG_REST_S: Final = 5.0
 """After so much stillness a rate is a bias that has stepped, however well it was known [s]."""
 
@@ -52,7 +54,7 @@ def start(state: Record, accel: Floats) -> None:
     """Begin the average of the force with the first one, and with the doubt of having no other."""
     for i in range(3):
         state["mean_force_m_s2"][i] = accel[i]
-    state["force_variance"] = STANDARD_GRAVITY_M_S2**2
+    state["force_variance"] = START_DOUBT_M2_S4
 
 
 @kernel

@@ -29,7 +29,10 @@ from ahrs_service.records import ESTIMATE_DTYPE, empty
 from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.settings import Settings
 
-FLIGHTS = ("x8 aerobatics", "thor75", "swiss2", "quad106", "copter pixhawk", "log0036", "sitl")
+FLIGHTS = (
+    *("x8 aerobatics", "thor75", "swiss2", "plane erle"),
+    *("quad106", "copter pixhawk", "log0036", "sitl"),
+)
 CLASSES = ("fixed_wing", "multirotor", "hand_held")
 HAND_HELD = ["fusion.airframe=hand_held", "fusion.gyro_sample=mean", "fusion.magnetometer=false"]
 
@@ -41,6 +44,8 @@ def _in_all(setting: str) -> list[str]:
 ROWS: dict[str, list[str]] = {
     "default": [],
     "without accelerometer bias": _in_all("accel_bias_sigma_m_s2=0.0"),
+    "scale neither learnt nor doubted": _in_all("accel_scale_error=0.0"),
+    "bias walk without shake": _in_all("shaken_bias_walk_s_m_rts=0.0"),
     "without gyro matrix": _in_all("gyro_matrix_sigma=0.0"),
     "matrix's error as noise": [
         *_in_all("gyro_matrix_sigma=0.0"),

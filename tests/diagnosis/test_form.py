@@ -8,7 +8,7 @@ from scipy.optimize import minimize_scalar
 from ahrs_service.app.blind_files import case_bytes
 from ahrs_service.app.recorded_columns import read_columns
 from ahrs_service.diagnosis.blind.case import Request, make
-from ahrs_service.diagnosis.diagnose import diagnose
+from ahrs_service.diagnosis.diagnose import compare, diagnose
 from ahrs_service.diagnosis.form import evidence, is_clearer
 from ahrs_service.diagnosis.library import products, spline_basis
 
@@ -78,6 +78,18 @@ def test_what_bends_with_the_square_of_the_force_is_not_named_after_the_force_it
     assert found.verdict == "unexplained"
     assert "acceleration" in found.unexplained[0].depends_on
     assert found.unexplained[0].channel == "gyro"
+
+
+def test_the_height_climbed_is_the_vertical_speed_integrated(tmp_path):
+    path = tmp_path / "hidden.tlog"
+    case = make(Request("hidden", "copter", 3502, 60))
+    path.write_bytes(case_bytes(case))
+    columns = compare(read_columns(path)).columns
+    flown_s = columns.time_s - columns.time_s[0]
+    down = np.interp(flown_s, case.scene.time_s, case.scene.motion.position_ned_m[:, 2])
+    assert np.ptp(down) > 5.0
+    # The reference's speed errs by 0.03 m/s over 3 s, which gathers some 0.5 m in a minute.
+    assert np.std(columns.altitude_m + down) < 0.5
 
 
 def test_what_goes_with_the_force_itself_keeps_its_name(tmp_path):

@@ -140,6 +140,15 @@ def test_a_branch_turns_over_within_its_width():
     assert h[-1] == -1.0
 
 
+def test_hysteresis_is_looked_for_only_as_wide_as_the_temperature_turns_back():
+    effect, columns = effect_of("accel_thermal_hysteresis"), columns_of()
+    rises = replace(columns, temperature_degc=np.linspace(20.0, 40.0, 200))
+    assert effect.grid(rises) == []
+    turns = np.concatenate([np.linspace(20.0, 40.0, 150), np.linspace(40.0, 37.0, 50)])
+    found = effect.grid(replace(columns, temperature_degc=turns))
+    assert [form["width_degC"] for form in found] == [0.5, 1.0, 2.0]
+
+
 def test_the_earth_turns_by_15_deg_an_hour_about_its_axis():
     columns = columns_of()
     added = effect_of("gyro_earth_rate").add(columns, {"latitude_deg": np.asarray(48.0)}).gyro

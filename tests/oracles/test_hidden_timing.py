@@ -21,5 +21,6 @@ def test_a_table_13_ms_apart_is_named_and_mended(tmp_path):
     # 13 ms at 200 deg/s; the paper read 2.6 deg.
     assert found["before_deg"] == pytest.approx(2.6, abs=0.2)
     assert found["named"] == "imu_time_offset"
+    assert found["also"] == "-"
     assert found["found_ms"] == pytest.approx(13.0, abs=0.1)
     assert found["after_deg"] < 0.3
