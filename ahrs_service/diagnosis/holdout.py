@@ -99,7 +99,8 @@ def held_out(
     white_after = _white(residual, after, after.base, after.misfit)
     left_before = residual.body - added_body(residual, before.terms)
     left_after = residual.body - added_body(residual, after.terms)
-    prior_before, prior_after = _sizes(before), _sizes(after)
+    prior_before = _sizes(before)
+    prior_after = np.zeros_like(after.prior) if has_fixed else _sizes(after)
     gain = 0.0
     for test, train in _folds(residual):
         if not len(test) or not len(train):
