@@ -17,7 +17,7 @@ from ahrs_service.kernel import kernel
 from ahrs_service.records import Airframe, Floats, Record
 
 HISTORY: Final = 32
-"""Turns that are remembered: 2.5 s."""
+"""Turns that are remembered: 3.8 s."""
 AIDING_FIELDS: Final = [
     ("wind_ned_m_s", "f8", 3),
     ("velocity_lag_s", "f8"),
