@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from peers import SHARED_DATA, require_data
-from real_data import broad_trial
+from real_data import broad_trial, part
 from real_diagnoses import FLIGHTS
 from rich.console import Console
 from rich.table import Table
@@ -31,20 +31,22 @@ from ahrs_service.diagnosis.model import Model, bare
 from ahrs_service.diagnosis.recorded import Recorded
 from ahrs_service.diagnosis.screen import screen
 from ahrs_service.diagnosis.search import extend
+from links.errors import RecordingError
 
 BOUNDS_S = (20.0, 60.0, 600.0)
 LATE = "imu_time_offset"
+MIDDLE = (0.3, 0.7)
 
 
 def recordings(folder: Path) -> Iterator[tuple[str, Recorded]]:
-    """Yield the real recordings that hold a reference in flight."""
+    """Yield the middle of the real recordings that hold a reference in flight."""
     for name in FLIGHTS:
         try:
-            yield name, read_columns(folder / "flights" / name)
-        except ValueError as error:
+            yield name, part(read_columns(folder / "flights" / name), *MIDDLE)
+        except RecordingError as error:
             print(f"{name}: {error}")
     for path in sorted((folder / "broad").glob("*.npz"))[::3]:
-        yield f"broad {path.stem}", broad_trial(path)
+        yield f"broad {path.stem}", part(broad_trial(path), *MIDDLE)
 
 
 def fitted(recorded: Recorded, bound_s: float) -> tuple[FlightResidual, Model] | None:
