@@ -49,6 +49,8 @@ _GYRO, _ACCEL = slice(0, 3), slice(3, 6)
 _USUAL_DENSITIES: Final = (7e-5, 1e-3)
 _FILTERS_KEPT: Final = 3
 """Gains of the last noises, 9 MB each: the same noise is asked for many times in turn."""
+_QUIETEST: Final = 0.3
+"""Of the usual density: no MEMS sensor is quieter, but a simulator's may have no noise at all."""
 _MEASURED: Final = float(np.log(1.3))
 """The density is read off the IMU's spectrum; the reference's error would hide it."""
 _SLOW: Final = (float(np.log(15.0)), float(np.log(3000.0)))
@@ -227,7 +229,7 @@ class FlightResidual:
         """Return the sizes of a good INS and of a consumer IMU."""
         attitude, velocity = [7e-4, 6.0, 5e-5], [0.03, 4.0, 0.003]
         g, a = (
-            seen if np.isfinite(seen) else usual
+            max(seen, _QUIETEST * usual) if np.isfinite(seen) else usual
             for seen, usual in zip(self._densities, _USUAL_DENSITIES, strict=True)
         )
         gyro, accel = [g, 1e-4, 100.0], [a, 2e-3, 100.0]

@@ -69,7 +69,8 @@ _SHAKEN_S: Final = 0.15
 """The same for vibration, which follows the motors within tenths of a second."""
 
 _SCATTER_S: Final = 0.5
-_MOVING_SHARE: Final = 0.5
+_MOVING_SHARE: Final = 0.9
+_SLOWER_HZ: Final = (3.0, 1.0, 0.5)
 _FLOOR_HZ: Final = (3.0, 20.0)
 _FLOOR_SEGMENT_S: Final = 4.0
 _FLOOR_QUANTILE: Final = 0.1
@@ -165,26 +166,32 @@ def witnessed(reference: Reference, like: Columns) -> Columns:
 
 
 def moving(read: Columns, seen: Columns) -> Columns:
-    """Return the motion `read` by the IMU, constant on axes of which the reference has `seen` none.
+    """Return the motion `read` by the IMU as far as the reference has `seen` it too.
 
-    There the reading is noise, which as a regressor would explain itself: a scale factor of 1. Of
-    what moves, 97 % and more of the power is in both; an axis is at rest where less than half is.
+    What is noise in a reading would as a regressor explain itself: a scale factor of 1. Of what
+    moves, 97 % and more of the power is in both. An axis on which vibration rivals the motion is
+    followed as fast as the two agree, one on which they never do is at rest.
     """
-    motions = []
-    for here, there in (
-        (read.rate_rad_s, seen.rate_rad_s),
-        (read.force_m_s2, seen.force_m_s2),
-    ):
-        mean = here.mean(axis=0)
-        shared = np.mean((here - mean) * (there - there.mean(axis=0)), axis=0)
-        motions.append(np.where(shared > _MOVING_SHARE * here.var(axis=0), here, mean))
-    slope = CubicSpline(read.time_s, motions[0])(read.time_s, 1)
-    return replace(
-        read,
-        rate_rad_s=motions[0],
-        force_m_s2=motions[1],
-        angular_acceleration_rad_s2=slope,
+    time_s = read.time_s
+    rate, force = (
+        np.stack([_followed(time_s, *axis) for axis in zip(here.T, there.T, strict=True)], axis=1)
+        for here, there in (
+            (read.rate_rad_s, seen.rate_rad_s),
+            (read.force_m_s2, seen.force_m_s2),
+        )
     )
+    slope = CubicSpline(time_s, rate)(time_s, 1)
+    return replace(read, rate_rad_s=rate, force_m_s2=force, angular_acceleration_rad_s2=slope)
+
+
+def _followed(time_s: Floats, here: Floats, there: Floats) -> Floats:
+    """Return `here` [N] as it is, slower, or constant: the fastest that `there` [N] agrees with."""
+    apart = there - there.mean()
+    for cutoff_hz in (MOTION_HZ, *_SLOWER_HZ):
+        slower = here if cutoff_hz == MOTION_HZ else slow_motion(time_s, here, time_s, cutoff_hz)
+        if np.mean((slower - slower.mean()) * apart) > _MOVING_SHARE * slower.var():
+            return slower
+    return np.full(len(here), here.mean())
 
 
 def _vector_part(q: Floats, q_dot: Floats) -> Floats:

@@ -30,3 +30,14 @@ def test_axes_at_rest_are_constant_and_axes_that_move_are_left_as_they_were():
         2.5 / np.sqrt(2), rel=0.05
     )
     assert np.abs(found.angular_acceleration_rad_s2[:, [0, 2]]).max() < 1e-9
+
+
+def test_an_axis_that_shakes_as_much_as_it_moves_is_followed_slowly():
+    """Vibration left in the motion would be a regressor that explains itself."""
+    rng = np.random.default_rng(4)
+    sway = np.tile(np.sin(2.0 * np.pi * 0.1 * np.arange(6000) / 50.0)[:, None], 3)
+    shake = 0.7 * rng.normal(size=sway.shape)
+    found = moving(columns(sway + shake), columns(sway)).rate_rad_s
+    kept = np.sum((found - sway) * shake) / np.sum(shake**2)
+    assert kept < 0.15
+    assert np.corrcoef(found[:, 0], sway[:, 0])[0, 1] > 0.95
