@@ -60,9 +60,10 @@ MATCH_SPAN_S: Final = 3.0
 MATCH_FORGET_S: Final = 60.0
 MATCH_ENOUGH_M2_S2: Final = 30.0
 """Sum of the squared changes of velocity from which a heading is found [m^2/s^2],"""
-MATCH_LIKENESS: Final = 0.85
-"""if both velocities changed alike to this correlation."""
+MATCH_KNOWN_RAD: Final = 0.1
+"""if what the changes do not share leaves it a 1-sigma of this [rad];"""
 MATCH_SIGMA_RAD: Final = 0.3
+"""taken for three times that: what is late turns the changes of a manoeuvre alike [rad]."""
 MATCH_COUNT: Final = 4.0
 MATCH_LEFT_M_S: Final = 2.0
 """A velocity whose changes are not ours to this is not used, after so many of them [m/s]."""
@@ -278,8 +279,10 @@ def _begin_if_it_agrees(state: Record, airframe: int) -> None:
     left = match[2] + match[3] - 2.0 * strength
     if match[4] < MATCH_COUNT or left > MATCH_LEFT_M_S**2 * match[4]:
         return
-    alike = strength > MATCH_LIKENESS * math.sqrt(match[2] * match[3])
-    told = alike and strength > MATCH_ENOUGH_M2_S2
+    # The angle of a complex correlation r over n pairs has the variance (1 - r^2) / (2 n r^2).
+    common2, all2 = strength * strength, match[2] * match[3]
+    known = all2 - common2 < 2.0 * match[4] * MATCH_KNOWN_RAD**2 * common2
+    told = known and strength > MATCH_ENOUGH_M2_S2
     is_fast = v[0] * v[0] + v[1] * v[1] > COURSE_SPEED_M_S**2
     if told and state["heading_source"] != heading.NONE and abs(angle) < COMPASS_RAD:
         _begin(state, 0.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ahrs_service import pipeline
-from ahrs_service.fusion import heading, states
+from ahrs_service.fusion import aiding, heading, states
 from ahrs_service.records import ESTIMATE_DTYPE, Airframe, Flag, empty
 from ahrs_service.rotation import inverse_columns, multiply_columns
 from ahrs_service.sensor.parameters import Calibration, coefficients
@@ -30,6 +30,13 @@ def heard(flight, lag_s=0.0, airframe=Airframe.FIXED_WING, turned_rad=0.0, magne
     c, s = np.cos(turned_rad), np.sin(turned_rad)
     samples["velocity_ned_m_s"][now, 0] = c * north - s * east
     samples["velocity_ned_m_s"][now, 1] = s * north + c * east
+    return samples
+
+
+def noisy(samples, seed):
+    """The same with white noise [m/s] in each velocity."""
+    samples, rng = samples.copy(), np.random.default_rng(seed)
+    samples["velocity_ned_m_s"][:, :2] += rng.normal(0.0, aiding.SIGMA_M_S, (len(samples), 2))
     return samples
 
 
@@ -96,6 +103,25 @@ def test_without_a_nose_the_heading_comes_from_how_both_velocities_change(flight
     assert state["heading_source"] == heading.VELOCITY
     _, turn = errors_deg(estimates, flight.rows["ned_from_body"][start:])
     assert rms(turn[-1000:]) < 20.0
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_receiver_as_noisy_as_the_filter_takes_it_for_tells_the_heading(flight, seed):
+    """Most of its changes is noise, but many of them together tell the heading."""
+    start = 3000
+    samples = noisy(heard(flight, 0.1, Airframe.OTHER)[start:], seed)
+    estimates, state = run(samples)
+    assert state["states"] == states.AIDED
+    _, turn = errors_deg(estimates, flight.rows["ned_from_body"][start:])
+    assert rms(turn[-1000:]) < 20.0
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_noise_alone_tells_no_heading(flight, seed):
+    samples = heard(flight, 0.1, Airframe.OTHER)
+    samples["velocity_ned_m_s"] *= 0.0
+    _, state = run(noisy(samples, seed))
+    assert state["states"] == states.UNAIDED
 
 
 def test_a_velocity_in_other_axes_than_the_compass_is_let_go(flight):
