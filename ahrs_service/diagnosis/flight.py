@@ -322,7 +322,9 @@ class FlightResidual:
         steps = self._steps_s, keep
         unseen = np.maximum(self._unseen[:, ::3], self.missing[:, None])
         flight_gains(*path, *steps, unseen, drive, start, white, gains, roots, variances)
-        return (*path, *steps, gains, roots), np.log(variances)
+        # Noise tried too far leaves no numbers; its likelihood, NaN, is then above no other.
+        with np.errstate(invalid="ignore"):
+            return (*path, *steps, gains, roots), np.log(variances)
 
 
 def _sum(increments: Floats) -> Floats:
