@@ -20,6 +20,7 @@ Places = npt.NDArray[np.intp]
 _BLOCKS: Final = 6
 _GAP_S: Final = 5.0
 _SLOW_HZ: Final = 0.05
+_STAYS: Final = 1e-6
 _LEAST_SIZE: Final = 1e-12
 _FREE_RUN_S: Final = 60.0
 _FREE_RUN_STARTS: Final = 200
@@ -64,14 +65,19 @@ def _sizes(model: Model) -> Floats:
     """Return the prior [B+1, B+1] of a model's numbers: as large as the whole recording has them.
 
     About nil the linear ones, about what they are the forms. Blocks that tell nothing of a number
-    (of a warm-up, all but the first) then predict nothing of it, instead of anything.
+    (of a warm-up, all but the first) then predict nothing of it, instead of anything. A limit
+    stays where the readings of the whole recording end: what it adds bends there, and a block
+    that only comes near it would move it anywhere.
     """
     prior, numbers = np.zeros_like(model.prior), free_numbers(model.terms)
     last = len(prior) - 1
     for place, number in enumerate(numbers, start=last - len(numbers)):
         values = np.asarray(model.terms[number.term].values[number.parameter.name])
         now = 0.0 if number.is_form else float(values[number.index])
-        row = np.array([1.0, -now]) / max(float(np.sqrt(np.mean(values**2))), _LEAST_SIZE)
+        size = float(np.sqrt(np.mean(values**2)))
+        if model.terms[number.term].effect.name == "saturation":
+            size *= _STAYS
+        row = np.array([1.0, -now]) / max(size, _LEAST_SIZE)
         prior[np.ix_([place, last], [place, last])] += np.outer(row, row)
     return prior
 
