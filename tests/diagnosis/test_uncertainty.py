@@ -10,6 +10,7 @@ from ahrs_service.diagnosis.library import Term
 from ahrs_service.diagnosis.likelihood import Posterior, fit, fit_noise
 from ahrs_service.diagnosis.model import Model
 from ahrs_service.diagnosis.uncertainty import (
+    CHOSEN,
     covariance_by_blocks,
     marginal_covariance,
     variances,
@@ -156,7 +157,7 @@ def test_a_form_that_nature_rounds_off_widens_by_its_share():
         np.diag(covariance_by_blocks(residual, model)),
     )
     share = next(p.form_share for p in effect.parameters if p.name == "half_amplitude")
-    added = variances(residual, model) - plain
+    added = variances(residual, model) - CHOSEN**2 * plain
     np.testing.assert_allclose(
         added, [share**2, 4.0 * share**2, 0.0, 0.0], rtol=1e-6, atol=1e-12
     )  # fmt: skip
