@@ -205,9 +205,12 @@ def main() -> None:
     console.print(table)
     cases = [one for one in answers if one.planted]
     named = [one for one in cases if one.named == "yes"]
+    misnamed = [one for one in cases if any("_" in new for new in one.also_new)]
+    unknown = [one for one in cases if any("_" not in new for new in one.also_new)]
     console.print(
         f"{len(cases)} planted: {len(named)} named, {sum(bool(one.within) for one in named)} of "
-        f"these within their intervals, {sum(bool(one.also_new) for one in cases)} with a new name"
+        f"these within their intervals; {len(misnamed)} with a new name of the catalogue, "
+        f"{len(unknown)} with a new unexplained dependence"
     )
     if arguments.json is not None:
         content = [asdict(one) for one in answers]
