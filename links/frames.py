@@ -162,6 +162,15 @@ def _lands_well(data: Bytes, start: int, end: int, state: Record) -> bool:
 
 
 @njit(cache=True)
+def _holds_frame(data: Bytes, start: int, end: int, crc_extra: npt.NDArray[np.int16]) -> bool:
+    """Return whether a frame with a right checksum begins between `start` and `end`."""
+    at = start
+    while at < end and _inspect(data, at, crc_extra)[0] != _GOOD:
+        at += 1
+    return at < end
+
+
+@njit(cache=True)
 def _received_us(data: Bytes, start: int, is_regular: bool, state: Record) -> int:
     """Return the stamp before a frame; the last good one where this is cut or cannot be true."""
     stamp = -1
@@ -243,12 +252,18 @@ def _take_stamped(
     if start >= len(data):
         return False
     verdict, length, msgid = _inspect(data, start, crc_extra)
-    if verdict == _UNKNOWN and _lands_well(data, start, start + length, state):
+    end = start + length
+    # What nothing vouches for may not swallow what its checksum does.
+    if (
+        verdict == _UNKNOWN
+        and _lands_well(data, start, end, state)
+        and not _holds_frame(data, start + 1, end, crc_extra)
+    ):
         state["unknown"] += 1
     elif verdict != _GOOD:
         if verdict == _BAD_CRC and is_regular:
             state["bad_crc"] += 1
-            state["boundary"] = start + length
+            state["boundary"] = end
         return False
     if not is_regular:
         state["garbage_bytes"] -= min(STAMP_BYTES, start - state["last_end"])
@@ -271,7 +286,7 @@ def scan_tlog(
     """Find stamped frames in data[position:]; return (frames found, where to go on).
 
     Tries the regular place, 8 bytes after the last frame, then every byte. A frame of unknown id is
-    taken when it sits between plausible neighbours.
+    taken when it sits between plausible neighbours and no frame with a right checksum is in it.
     """
     state = states[0]
     found = 0

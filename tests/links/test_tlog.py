@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from links.errors import RecordingError
@@ -293,7 +293,20 @@ def damaged_tlogs(draw: st.DrawFn) -> bytes:
     return damaged(draw, records(draw(st.lists(FRAMES, min_size=1, max_size=25))))
 
 
+SWALLOWING = bytes.fromhex(
+    "060a24181e40181e4000fd00fdfdfdfd00fd00fdfdfdfdfdfdfdfdfc01011e00000000000000000000cdcc4c"
+    "3e9a99993ecdcccc3e0000003f9a99193f64c400060a24181e43e8fd01010009010100000000f1ac01010203"
+    "0405060708090a0b060a24181e4000fd00fdfdfdfdfdfdfdfdfc01011e00000000000000000000cdcc4c3e9a"
+    "99993ecdcccc3e0000003f9a99193f64c400060a24181e43e8fd01010009010100000000f1ac010102030405"
+    "060708090a0b0c00060a24181e47d0fd1c0000fd01011e00000000000000000000cdcc4c3e9a99993ecdcccc"
+    "3e0000003f9a99193f5dc900060a24181e4bb8fd1c0000fe01011e00000000000000000000cdcc4c3e9a9999"
+    "3ecdcccc3e0000003f9a99193f16de"
+)
+"""A forged frame of an unknown id between plausible stamps, with whole frames inside."""
+
+
 @given(content=damaged_tlogs())
+@example(content=SWALLOWING)
 @settings(
     max_examples=300,
     deadline=None,
