@@ -10,6 +10,7 @@ forward, right, down.
 OUT holds one row per sample: quat [N, 4] wxyz without the magnetometer, its heading 0 at the
 start; quat9 [N, 4] with it, where there is imu_mag; sigma_deg [N, 3] 1-sigma of quat's error
 about the earth's axes; gate [N] why the accelerometer was not taken for the vertical, 0 if it was.
+Without --profile it is the one that force and rate of the whole recording show (app.recognition).
 With --offline all rows but gate are smoothed: what came later corrects what was before.
 
 --frame frd: sensor axes forward, right, down (level at rest: z = -9.81); quat turns them into
@@ -29,7 +30,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from ahrs_service import pipeline
-from ahrs_service.app import config_file, options
+from ahrs_service.app import config_file, options, recognition
 from ahrs_service.app.calibration_choice import CalibrationShelf
 from ahrs_service.app.columns import Columns, doubts, read_columns
 from ahrs_service.records import ESTIMATE_DTYPE, Floats, Rows, empty
@@ -136,6 +137,10 @@ def run(args: argparse.Namespace) -> int:
     if choice is None and shelf.is_folder:
         raise config_file.ConfigError(shelf.refusal(""))
     columns = read_columns(args.source)
+    if args.profile is None and settings.fusion.airframe == "auto":
+        args.profile = recognition.profile_of(recognition.signs_of(columns, args.frame))
+        settings = options.settings_of(args)
+        console.print(f"taken for {args.profile} by its motion; --profile says it", highlight=False)
     known = None if choice is None else choice.calibration
     out = estimate_columns(columns, settings, args.frame, args.offline, known)
     _write(args.out, out)

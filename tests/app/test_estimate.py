@@ -7,12 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ahrs_service import pipeline
-from ahrs_service.app import estimate
+from ahrs_service.app import config_file, estimate
 from ahrs_service.app.cli import main
 from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, ImuSource, empty
 from ahrs_service.rotation import euler_columns, inverse_columns, multiply_columns
 from ahrs_service.sensor.parameters import Calibration, coefficients
-from ahrs_service.settings import Settings
 from ahrs_service.simulation.scenario import make_flight
 
 FLIP = np.array([1.0, -1.0, -1.0])
@@ -91,7 +90,7 @@ def test_the_answer_is_the_pipelines_to_the_last_bit(flight, run, monkeypatch):
     samples["source"] = ImuSource.HIGHRES_IMU
     expected = empty(ESTIMATE_DTYPE, len(rows))
     pipeline.batch(
-        pipeline.parameters(Settings()),
+        pipeline.parameters(config_file.load(profile="fixed_wing")),
         coefficients(Calibration.ideal()),
         pipeline.new_state(),
         samples,
@@ -99,7 +98,7 @@ def test_the_answer_is_the_pipelines_to_the_last_bit(flight, run, monkeypatch):
     )
     # Several pieces, the last of them short.
     monkeypatch.setattr(estimate, "_CHUNK", 1000)
-    out = run(only(fields))
+    out = run(only(fields), "--profile", "fixed_wing")
     assert out["quat"].tobytes() == expected["ned_from_body"].tobytes()
     assert out["gate"].tobytes() == expected["gate"].tobytes()
     assert "quat9" not in out
@@ -176,7 +175,21 @@ def test_each_profile_gives_an_answer_of_its_own(flight, run):
     fields, _ = flight
     profiles = ("fixed_wing", "multirotor", "hand_held", "ground_test")
     answers = {run(only(fields), "--profile", one)["quat"].tobytes() for one in profiles}
-    assert len(answers | {run(only(fields))["quat"].tobytes()}) == len(profiles) + 1
+    answers.add(run(only(fields), "--set", "fusion.airframe=other")["quat"].tobytes())
+    assert len(answers) == len(profiles) + 1
+
+
+def test_without_a_profile_the_motion_says_it(flight, run, capsys):
+    """The flight turns as a fixed wing does; of half a minute at rest nothing is told."""
+    fields, _ = flight
+    own = run(only(fields), "--profile", "fixed_wing")["quat"]
+    assert run(only(fields))["quat"].tobytes() == own.tobytes()
+    assert "taken for fixed_wing" in capsys.readouterr().err
+    rest = {name: fields[name][:600] for name in ("imu_gyr", "imu_acc")} | {"sampling_rate": 20.0}
+    run(rest)
+    assert "taken for multirotor" in capsys.readouterr().err
+    run(in_flu(only(fields)), "--frame", "flu", "--set", "fusion.airframe=fixed_wing")
+    assert "taken for" not in capsys.readouterr().err
 
 
 def test_airspeed_is_used(flight, run):
