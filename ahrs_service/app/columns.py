@@ -87,7 +87,11 @@ class Columns:
 
 def read_columns(path: Path) -> Columns:
     """Read IN; RecordingError names the file, the field, what is wrong and what to give."""
-    fields = _read_fields(path)
+    return columns_of(path, _read_fields(path))
+
+
+def columns_of(path: Path, fields: dict[str, Any]) -> Columns:
+    """Check the fields of IN by name; see `read_columns`."""
     for name in ("imu_gyr", "imu_acc"):
         if name not in fields:
             raise RecordingError(
