@@ -14,7 +14,7 @@ STANDING, ROLLING, BRAKING, STOPPED = slice(0, 600), slice(600, 1200), slice(120
 
 
 def rolled(along_m_s2, airframe):
-    """Samples [N] of a level vehicle that stands, rolls on rough ground, brakes smoothly, stands."""
+    """Samples [N] of a level vehicle: it stands, rolls on rough ground, brakes smoothly, stands."""
     samples = empty(SAMPLE_DTYPE, STOPPED + 400)
     rng, count = np.random.default_rng(3), len(samples)
     samples["time_ns"] = np.arange(count) * (10**9 // RATE_HZ)
