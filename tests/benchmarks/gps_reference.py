@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from flight_recordings import Flight
 from gps_smoother import LAG, GpsSmoother, Smoothed
 from gps_velocity import GpsVelocity
 from peers import Floats
+from tilt_witness import carried
 
 from ahrs_service.records import Integers, Rows
 
@@ -66,3 +68,17 @@ def gps_reference(
     return GpsReference(
         t_s, smoother.attitude(one), sigma, near & (sigma < SURE_RAD), smoother, one, lag_s
     )
+
+
+def smoothed(flight: Flight, gps: GpsVelocity) -> tuple[GpsReference, Floats]:
+    """Return the GPS's reference at the usable samples, and the flight's own attitude [N, 4] there.
+
+    That is where the smoother begins.
+    """
+    samples, reference = flight.samples[usable(flight.samples)], flight.reference
+    stamps, gyro = samples["time_ns"], samples["gyro_rad_s"]
+    t_s, at_s = ((one - stamps[0]) * 1e-9 for one in (stamps, reference.time_ns))
+    order = np.argsort(at_s, kind="stable")
+    order = order[np.concatenate([[True], np.diff(at_s[order]) > 0.0])]
+    start = carried(t_s, gyro, at_s[order], reference.ned_from_body[order])
+    return gps_reference(stamps, gyro, samples["accel_m_s2"], start, gps), start

@@ -28,13 +28,12 @@ from typing import Any
 import numpy as np
 from flight_recordings import LOGS, Flight, read_flight
 from flights import OURS, estimates_of
-from gps_reference import GpsReference, gps_reference, usable
+from gps_reference import GpsReference, smoothed, usable
 from gps_smoother import Noise
 from gps_velocity import GpsVelocity, gps_velocity
 from peers import PEERS, SHARED_DATA, require_data
 from rich.console import Console
 from rich.table import Table
-from tilt_witness import carried
 
 from ahrs_service.comparison import Comparison, compare
 from ahrs_service.records import ESTIMATE_DTYPE, Integers, Phase, Rows, empty
@@ -61,17 +60,6 @@ def with_clock(flight: Flight, gps: GpsVelocity) -> tuple[Flight, GpsVelocity]:
     name = f"{flight.name}, clock mended"
     fixes = replace(gps, time_ns=mended(gps.time_ns, origin, gps.clock), clock=1.0)
     return Flight(name, samples, replace(flight.reference, time_ns=times)), fixes
-
-
-def smoothed(flight: Flight, gps: GpsVelocity) -> tuple[GpsReference, Integers]:
-    """Return the GPS's reference and the stamps [N] of its samples."""
-    samples = flight.samples[usable(flight.samples)]
-    stamps, gyro = samples["time_ns"], samples["gyro_rad_s"]
-    t_s, at_s = ((one - stamps[0]) * 1e-9 for one in (stamps, flight.reference.time_ns))
-    order = np.argsort(at_s, kind="stable")
-    order = order[np.concatenate([[True], np.diff(at_s[order]) > 0.0])]
-    start = carried(t_s, gyro, at_s[order], flight.reference.ned_from_body[order])
-    return gps_reference(stamps, gyro, samples["accel_m_s2"], start, gps), stamps
 
 
 def instants(one: GpsReference, stamps: Integers, q: Any) -> AttitudeReference:
@@ -138,7 +126,8 @@ def rows(
     for other in others:
         self_error = compare(own, other.time_ns, other.ned_from_body, False)
         yield ["", other.name, *cells(against(found, other)), pair(self_error)]
-    one, stamps = smoothed(flight, gps)
+    one, _ = smoothed(flight, gps)
+    stamps = flight.samples["time_ns"][usable(flight.samples)]
     reference = instants(one, stamps, one.attitudes)
     errors = against(found, reference)
     line = cells(errors)
