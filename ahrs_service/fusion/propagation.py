@@ -19,7 +19,7 @@ from ahrs_service.fusion.states import (
     VELOCITY,
     WIND,
 )
-from ahrs_service.kernel import kernel
+from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Flag, Floats, Record
 from ahrs_service.rotation import matrix
 
@@ -67,7 +67,7 @@ _GAP = int(Flag.GAP)
 _ACCEL_MISSING = int(Flag.ACCEL_MISSING)
 
 
-@kernel
+@inlined_kernel
 def move(
     settings: Record,
     state: Record,
@@ -109,7 +109,7 @@ def move(
             _move_velocity(settings, state, airframe, accel, dt_s, norm2)
 
 
-@kernel
+@inlined_kernel
 def _take_rate(state: Record, gyro: Floats, dt_s: float) -> tuple[float, float]:
     """Correct the rate; return the variance of the rate between this and the last, and its square.
 
@@ -153,7 +153,7 @@ def _average_force(state: Record, accel: Floats, weight: float) -> float:
     return norm2
 
 
-@kernel
+@inlined_kernel
 def _move_velocity(
     settings: Record, state: Record, airframe: int, accel: Floats, dt_s: float, norm2: float
 ) -> None:
@@ -199,7 +199,7 @@ def _follow_arc(state: Record, accel: Floats, dt_s: float, arc: Floats) -> None:
         before[i] = accel[i]
 
 
-@kernel
+@inlined_kernel
 def grow(settings: Record, state: Record, degc: float, is_compensated: bool) -> None:
     """Propagate the covariance over the turn.
 

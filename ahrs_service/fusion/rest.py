@@ -7,7 +7,7 @@ from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.fusion import aiding, mekf
 from ahrs_service.fusion.motion import airspeed_is_fresh
 from ahrs_service.fusion.states import AIDED, GYRO_BIAS, VELOCITY
-from ahrs_service.kernel import kernel
+from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Floats, Record
 
 REST_FIELDS: Final = [
@@ -59,7 +59,7 @@ def start(state: Record, accel: Floats) -> None:
     state["force_variance"] = START_DOUBT_M2_S4
 
 
-@kernel
+@inlined_kernel
 def follow(state: Record, gyro: Floats, accel: Floats, dt_s: float, rate_sigma: float) -> None:
     """Follow mean and variance of rate and force; `rest_s` is how long all were those of rest."""
     weight = dt_s / (AVERAGE_S + dt_s)
@@ -82,7 +82,7 @@ def follow(state: Record, gyro: Floats, accel: Floats, dt_s: float, rate_sigma: 
     state["rest_s"] = state["rest_s"] + dt_s if still else 0.0
 
 
-@kernel
+@inlined_kernel
 def come_to_rest(state: Record) -> bool:
     """Return whether the vehicle is at rest; a change of that brings the wind into the velocity.
 
