@@ -8,8 +8,9 @@ those two hides d / sqrt(2) across them, which turns a horizontal field H by d /
     variance = sigma^2 + d^2 / (2 H^2) (1 + d^2 / limit^2) + (down / H)^2 tilt variance
 
 A reading belongs to the attitude of when it was taken (`field_lag`); what its lag may be wrong by
-adds to that. There is no sharp limit, so a heading that has become doubtful itself comes back to any field in
-the end. Without a magnetometer the heading starts at 0 and runs free, with a sigma that grows.
+adds to that. There is no sharp limit, so a heading that has become doubtful itself comes back to
+any field in the end. Without a magnetometer the heading starts at 0 and runs free, with a sigma
+that grows.
 """
 
 import math
