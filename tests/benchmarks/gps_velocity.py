@@ -1,4 +1,4 @@
-"""The velocity that a recording's GPS receiver measured, before any filter of the autopilot.
+"""Velocity and height that a recording's GPS receiver measured, before any filter of the autopilot.
 
 GPS_RAW_INT of a .tlog, GPS of a DataFlash log, vehicle_gps_position of a ULog. A receiver's
 velocity comes from Doppler shifts and knows nothing of the vehicle's attitude.
@@ -20,6 +20,7 @@ UNKNOWN = 0xFFFF
 LEAST_FIX = 3
 """A three-dimensional fix."""
 LEAST_COUNT = 50
+CLOCK_FIXES = 100
 SPEED_LIMIT_M_S = 100.0
 COURSE_SPEED_M_S = 5.0
 """Faster than this the positions tell the course."""
@@ -27,10 +28,16 @@ COURSE_SPEED_M_S = 5.0
 
 @dataclass(frozen=True)
 class GpsVelocity:
-    """`time_ns` [N] on the clock of the IMU, rising; `ned_m_s` [N, 3], down NaN if not measured."""
+    """`time_ns` [N] on the clock of the IMU, rising; `ned_m_s` [N, 3], down NaN if not measured.
+
+    `height_m` [N] above the sea, NaN where it is not known. `clock` is how many seconds of the
+    receiver pass in one of the autopilot, 1 where the log does not tell the receiver's time.
+    """
 
     time_ns: npt.NDArray[np.int64]
     ned_m_s: npt.NDArray[np.float64]
+    height_m: npt.NDArray[np.float64]
+    clock: float = 1.0
 
 
 def gps_velocity(path: Path, readings: Rows) -> GpsVelocity | None:
@@ -39,7 +46,7 @@ def gps_velocity(path: Path, readings: Rows) -> GpsVelocity | None:
     found = read(path, readings[readings["kind"] == Kind.IMU])
     if found is None:
         return None
-    time_ns, ned = found
+    time_ns, ned, height_m, clock = found
     good = np.isfinite(ned[:, :2]).all(axis=1) & (np.abs(ned[:, :2]) < SPEED_LIMIT_M_S).all(axis=1)
     newest = np.maximum.accumulate(time_ns)
     good[1:] &= time_ns[1:] > newest[:-1]
@@ -47,7 +54,7 @@ def gps_velocity(path: Path, readings: Rows) -> GpsVelocity | None:
     good[1:] &= (ned[1:, :2] != ned[:-1, :2]).any(axis=1)
     if good.sum() < LEAST_COUNT:
         return None
-    return GpsVelocity(time_ns[good], ned[good])
+    return GpsVelocity(time_ns[good], ned[good], height_m[good], clock)
 
 
 def _ned(speed: Any, course_deg: Any, down: Any) -> npt.NDArray[np.float64]:
@@ -56,7 +63,7 @@ def _ned(speed: Any, course_deg: Any, down: Any) -> npt.NDArray[np.float64]:
     return np.stack([speed * np.cos(course), speed * np.sin(course), down], axis=1)
 
 
-def _of_tlog(path: Path, imu: Rows) -> tuple[Any, Any] | None:
+def _of_tlog(path: Path, imu: Rows) -> tuple[Any, Any, Any, float] | None:
     tlog = read_tlog(path)
     vehicle = (int(imu["system"][0]), int(imu["component"][0]))
     table = tlog.tables.get((*vehicle, "GPS_RAW_INT"))
@@ -71,7 +78,8 @@ def _of_tlog(path: Path, imu: Rows) -> tuple[Any, Any] | None:
     if time_ns[0] < imu["time_ns"][0] - 10**9 or time_ns[-1] > imu["time_ns"][-1] + 10**9:
         lead_ns = np.median(imu["time_ns"] - imu["received_ns"])
         time_ns = table["received_us"].astype(np.int64) * 1000 + int(lead_ns)
-    return time_ns, _ned(1e-2 * table["vel"], _course_deg(time_ns, table), np.nan)
+    ned = _ned(1e-2 * table["vel"], _course_deg(time_ns, table), np.nan)
+    return time_ns, ned, 1e-3 * table["alt"], 1.0
 
 
 def _course_deg(time_ns: Any, table: Rows) -> Any:
@@ -89,7 +97,7 @@ def _course_deg(time_ns: Any, table: Rows) -> Any:
     return max((raw, np.degrees(raw)), key=agreement)
 
 
-def _of_dataflash(path: Path, imu: Rows) -> tuple[Any, Any] | None:
+def _of_dataflash(path: Path, imu: Rows) -> tuple[Any, Any, Any, float] | None:
     log = read_tables(path)
     table = log.table("GPS") if "GPS" in log.counts() else ()
     if not len(table):
@@ -98,16 +106,25 @@ def _of_dataflash(path: Path, imu: Rows) -> tuple[Any, Any] | None:
     # Before TimeUS there was the receiver's own time, and T of the autopilot [ms].
     old = "TimeUS" not in (table.dtype.names or ())
     time_ns = table["T" if old else "TimeUS"].astype(np.int64) * (1_000_000 if old else 1000)
-    speed, course, down = (log.column(table, "GPS", name) for name in ("Spd", "GCrs", "VZ"))
-    return time_ns, _ned(speed, course, down)
+    names = ("Spd", "GCrs", "VZ", "Alt")
+    speed, course, down, height_m = (log.column(table, "GPS", name) for name in names)
+    receiver_ms = table["TimeMS" if old else "GMS"].astype(np.float64)
+    return time_ns, _ned(speed, course, down), height_m, _clock(time_ns, receiver_ms)
 
 
-def _of_ulog(path: Path, imu: Rows) -> tuple[Any, Any] | None:
+def _clock(time_ns: Any, receiver_ms: Any) -> float:
+    """Seconds of the receiver in one of the autopilot: the median over spans of CLOCK_FIXES."""
+    passed = np.diff(receiver_ms[::CLOCK_FIXES]) * 1e-3, np.diff(time_ns[::CLOCK_FIXES]) * 1e-9
+    return float(np.median(passed[0] / passed[1])) if len(time_ns) > CLOCK_FIXES else 1.0
+
+
+def _of_ulog(path: Path, imu: Rows) -> tuple[Any, Any, Any, float] | None:
     names = ("vehicle_gps_position", "sensor_gps")
     for table in ULog(str(path), list(names)).data_list:
         data = table.data
         fixed = data["fix_type"] >= LEAST_FIX
         ned = np.stack([data[f"vel_{axis}_m_s"] for axis in "ned"], axis=1).astype(np.float64)
         if fixed.any():
-            return data["timestamp"][fixed].astype(np.int64) * 1000, ned[fixed]
+            time_ns = data["timestamp"][fixed].astype(np.int64) * 1000
+            return time_ns, ned[fixed], np.full(len(time_ns), np.nan), 1.0
     return None
