@@ -25,6 +25,7 @@ DOUBT_RAD_RTS: Final = 0.05
 
 _ALIGNING = int(Phase.ALIGNING)
 _RUNNING = int(Phase.RUNNING)
+_RATE = int(Gate.RATE)
 _STALE = int(Gate.STALE)
 _SATURATION = int(Gate.SATURATION)
 _ACCEL_MISSING = int(Flag.ACCEL_MISSING)
@@ -72,13 +73,22 @@ def _gravity_variance(settings: Record, airframe: int) -> float:
 
 @kernel
 def correct(settings: Record, state: Record, airframe: int, flags: int) -> None:
-    """Take the averaged force for the vertical while the gates are open, or while aligning."""
+    """Take the averaged force for the vertical while the gates are open, or while aligning.
+
+    What begins with a turn of a vehicle that flies by its speed is in the air, and aligns by that.
+    """
     aligning = state["phase"] == _ALIGNING and flags & (_SATURATED | _ACCEL_MISSING) == 0
+    speed = settings["forward_speed_m_s"][airframe] if settings["use_velocity"] != 0 else 0.0
+    if speed > 0.0 and state["gate"] & _RATE != 0:
+        aligning = False
     if state["gate"] != 0 and not aligning:
         return
     variance = _gravity_variance(settings, airframe)
     if aligning:
-        variance += (state["gate_metrics"][0] / STANDARD_GRAVITY_M_S2) ** 2
+        # What the norm shows of an acceleration, and that of a turn at the speed of the class.
+        turned = speed * state["gate_metrics"][1]
+        shown2 = state["gate_metrics"][0] ** 2 + turned * turned
+        variance += shown2 / STANDARD_GRAVITY_M_S2**2
     variance *= ACCEL_CORRELATION_S / min(state["turn_s"], LONGEST_AVERAGE_S)
     for axis in range(2):
         mekf.correct_tilt(state, axis, variance)
