@@ -33,6 +33,7 @@ from links.readings import recording_from_tlog
 from links.session_marks import MarkKind, mark_messages
 from links.signing import Signer, key_from_text
 from links.tlog import read_tlog
+from tests.live import assert_replays
 
 KINDS = ["udpin", "udpout", "tcp", "tcpin", "serial"]
 MARK_IDS = {int(kind) for kind in MarkKind}
@@ -85,13 +86,6 @@ def imu(time_us: int, zacc: float = 9.0) -> Any:
     return dialect.MAVLink_highres_imu_message(
         time_us, 1.0, 2.0, zacc, 0.3, 0.2, 0.1, 0.1, 0.2, 0.3, 1000.0, 0.0, 0.0, 20.0, 0x1FFF
     )
-
-
-def assert_replays(served: Any, path: Path) -> Any:
-    result = replay_log(path)
-    assert result.estimates.tobytes() == b"".join(served.estimates)
-    assert result.summary.digest == served.digest
-    return result
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -9,6 +9,7 @@ from ahrs_service.simulation.scenario import make_flight
 from links.autopilot import DEFAULT_RATES_HZ, SimulatedAutopilot
 from links.component import Component
 from links.mavlink_codec import Encoder, decode_frame, dialect
+from tests.links.messages import heartbeat
 
 LOOP_HZ = 400.0
 TICK_S = 0.05
@@ -118,3 +119,15 @@ def converse():
         return Conversation(rows[loop_hz], loop_hz=loop_hz, **options)
 
     return start
+
+
+@pytest.fixture
+def adopted(arrived):
+    """Function that makes a component which has adopted 1/1."""
+
+    def make(settings=None):
+        component = Component(settings or Settings())
+        component.on_message(arrived(heartbeat()), 0.0)
+        return component
+
+    return make

@@ -304,9 +304,17 @@ SWALLOWING = bytes.fromhex(
 )
 """A forged frame of an unknown id between plausible stamps, with whole frames inside."""
 
+TORN = bytes.fromhex(
+    "060a060a24181e4000fd1c0000910101fd1c00009101011e1e00000000000000000000cdcc4c3e9a99993ecd"
+    "cccc3e0000003f9a99193f336d0a24181e43e8fd1c00009201011e00000000000000000000cdcc4c3e9a9999"
+    "3ecdcccc3e0000003f9a99193f787a"
+)
+"""The second head of a repeated one passes for a stamp, and pymavlink joins what is around it."""
+
 
 @given(content=damaged_tlogs())
 @example(content=SWALLOWING)
+@example(content=TORN)
 @settings(
     max_examples=300,
     deadline=None,
@@ -320,7 +328,7 @@ def test_what_pymavlink_finds_in_a_damaged_file_is_found(tmp_path: Path, content
         ours = Counter(raw_frames(read_tlog(path)))
     except RecordingError:
         ours = Counter()
-    assert not theirs - ours
+    assert not [one for one in theirs - ours if one in content]
 
 
 SCAN_ALL = """
