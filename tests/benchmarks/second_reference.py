@@ -13,15 +13,12 @@ is in ours and in the peer's error alike and drives their ratio to 1. Here each 
 - The ArduPilot logs of 2014 hold AHR2, the attitude of the EKF beside the DCM that was flown by
   (EKF1 is the same from the first sample on). It takes the GPS velocity too.
 
-The best peer is the best against that reference. Where the autopilot's clock goes wrong by more
-than a percent against the receiver's (plane erle's is 8.3 % slow, so every gyro integrated by it
-turns too little), the flight is there twice, the second time with all stamps mended.
+The best peer is the best against that reference.
 """
 
 import argparse
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -42,24 +39,8 @@ from links.recording_formats import read_recording
 
 NAMES = ("x8 aerobatics", "thor75", "swiss2", "plane erle", "demo x8")
 NAMES += ("quad106", "copter pixhawk", "sitl")
-WRONG_CLOCK = 0.01
 INSTANT_S = 0.1
 COLUMNS = ("ours", "ours aided", "ours gated", "best peer", "ours / best", "gated / best")
-
-
-def mended(time_ns: Integers, origin_ns: int, clock: float) -> Integers:
-    """Return stamps [N] as a clock would have them that keeps the receiver's time."""
-    return origin_ns + np.round((time_ns - origin_ns) * clock).astype(np.int64)
-
-
-def with_clock(flight: Flight, gps: GpsVelocity) -> tuple[Flight, GpsVelocity]:
-    """Return the flight with all stamps mended."""
-    samples, origin = flight.samples.copy(), int(flight.samples["time_ns"][0])
-    samples["time_ns"] = mended(samples["time_ns"], origin, gps.clock)
-    times = mended(flight.reference.time_ns, origin, gps.clock)
-    name = f"{flight.name}, clock mended"
-    fixes = replace(gps, time_ns=mended(gps.time_ns, origin, gps.clock), clock=1.0)
-    return Flight(name, samples, replace(flight.reference, time_ns=times)), fixes
 
 
 def instants(one: GpsReference, stamps: Integers, q: Any) -> AttitudeReference:
@@ -164,16 +145,13 @@ def main() -> int:
     for name in args.logs:
         path = data / LOGS[name]
         recording, flight = read_recording(path), read_flight(name, path)
-        gps = gps_velocity(path, recording.readings)
+        gps = gps_velocity(recording)
         if gps is None:
             print(f"{name}: has no GPS", file=sys.stderr)
             continue
         others = [one for one in recording.references if one.name == "AHR2"]
         for line in rows(flight, gps, others, names):
             out.add_row(*line)
-        if abs(gps.clock - 1.0) > WRONG_CLOCK:
-            for line in rows(*with_clock(flight, gps), [], names):
-                out.add_row(*line)
     Console(width=220).print(out)
     return 0
 
