@@ -139,7 +139,7 @@ def main() -> int:
     found = {("vanes of thor75", ""): by_vanes(data / VANES)}
     for name in MULTIROTORS:
         path = data / LOGS[name]
-        gps = gps_velocity(read_recording(path))
+        gps = gps_velocity(path, read_recording(path).readings)
         if gps is None:
             raise SystemExit(f"{path}: has no velocity of a satellite receiver")
         lag_s, lines = by_receiver(read_flight(name, path), gps)

@@ -13,9 +13,8 @@ import numpy.typing as npt
 from pyulog import ULog
 
 from ahrs_service.records import Kind, Rows
-from links.dataflash import at_rate
+from links.dataflash import at_rate, clock_rate_of
 from links.dataflash_tables import read_tables
-from links.recording import Recording
 from links.tlog import read_tlog
 
 UNKNOWN = 0xFFFF
@@ -39,15 +38,13 @@ class GpsVelocity:
     height_m: npt.NDArray[np.float64]
 
 
-def gps_velocity(recording: Recording) -> GpsVelocity | None:
+def gps_velocity(path: Path, readings: Rows) -> GpsVelocity | None:
     """Read it; None where there is none or the vehicle had no fix."""
-    path, readings = recording.path, recording.readings
     read = {".tlog": _of_tlog, ".bin": _of_dataflash, ".ulg": _of_ulog}[path.suffix.lower()]
     found = read(path, readings[readings["kind"] == Kind.IMU])
     if found is None:
         return None
     time_ns, ned, height_m = found
-    time_ns = at_rate(time_ns, recording.clock_rate)
     good = np.isfinite(ned[:, :2]).all(axis=1) & (np.abs(ned[:, :2]) < SPEED_LIMIT_M_S).all(axis=1)
     newest = np.maximum.accumulate(time_ns)
     good[1:] &= time_ns[1:] > newest[:-1]
@@ -109,7 +106,7 @@ def _of_dataflash(path: Path, imu: Rows) -> tuple[Any, Any, Any] | None:
     time_ns = table["T" if old else "TimeUS"].astype(np.int64) * (1_000_000 if old else 1000)
     names = ("Spd", "GCrs", "VZ", "Alt")
     speed, course, down, height_m = (log.column(table, "GPS", name) for name in names)
-    return time_ns, _ned(speed, course, down), height_m
+    return at_rate(time_ns, clock_rate_of(log)), _ned(speed, course, down), height_m
 
 
 def _of_ulog(path: Path, imu: Rows) -> tuple[Any, Any, Any] | None:

@@ -300,7 +300,7 @@ def judged(args: argparse.Namespace, names: list[str]) -> Iterator[list[str]]:
     data = require_data(args.data, "the flight recordings")
     for name in args.logs:
         path = data / LOGS[name]
-        gps_or_none = gps_velocity(read_recording(path))
+        gps_or_none = gps_velocity(path, read_recording(path).readings)
         if gps_or_none is not None:
             yield [name, *cells(flown(read_flight(name, path), gps_or_none, names))]
 

@@ -272,7 +272,9 @@ def main() -> int:
             log.print(f"{path} is not there: left out", highlight=False, soft_wrap=True)
             continue
         log.print(name, highlight=False)
-        results[name] = witness(read_flight(name, path), gps_velocity(read_recording(path)))
+        results[name] = witness(
+            read_flight(name, path), gps_velocity(path, read_recording(path).readings)
+        )
     out = Console(width=210)
     out.print(whole_table(results))
     out.print()

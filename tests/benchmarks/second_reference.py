@@ -145,7 +145,7 @@ def main() -> int:
     for name in args.logs:
         path = data / LOGS[name]
         recording, flight = read_recording(path), read_flight(name, path)
-        gps = gps_velocity(recording)
+        gps = gps_velocity(path, recording.readings)
         if gps is None:
             print(f"{name}: has no GPS", file=sys.stderr)
             continue
