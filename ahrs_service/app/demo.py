@@ -48,12 +48,18 @@ EXIT_TERMINATED: Final = 143
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `demo`."""
     parser.add_argument(
-        "--seconds", type=options.positive, default=60.0, help="length of the flight"
+        "--seconds", type=options.positive, default=60.0, help="length of the flight (default: 60)"
     )
-    parser.add_argument("--scenario", default="flight", help="see ahrs-service simulate --help")
-    parser.add_argument("--seed", type=int, default=1, help="another seed is another flight")
     parser.add_argument(
-        "--out", type=Path, default=Path("demo_output"), metavar="DIR", help="for .tlog and .rrd"
+        "--scenario", default="flight", help="as simulate --help has them (default: flight)"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="other seed, other flight (default: 1)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("demo_output"),
+        metavar="DIR",
+        help="for .tlog and .rrd (default: demo_output)",
     )
     parser.add_argument(
         "--headless", action="store_true", help="open no viewer window, also where a screen is"
@@ -75,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
     CalibrationShelf(sensor)
     files = _files(arguments.out)
     settings = _with_places(dataclasses.replace(settings, sensor=sensor), files)
-    console.print("[dim]compiling kernels (some seconds on the first start)[/]")
+    console.print("[dim]starting; on the first start the kernels are compiled, a minute or so[/]")
     try:
         flown = asyncio.run(_fly(settings, arguments, console))
     except asyncio.CancelledError:
