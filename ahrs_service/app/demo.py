@@ -23,6 +23,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -152,9 +153,7 @@ async def _fly(
     port = settings.link.uri.rpartition(":")[2]
     try:
         with showing(daemon, console, table=True):
-            failed, out, errors = await _simulate(arguments, port)
-            # What is still in the socket belongs to the flight.
-            await asyncio.sleep(0.2)
+            failed, out, errors = await _simulate(arguments, port, daemon.stop)
     finally:
         daemon.stop()
         await serving
@@ -163,11 +162,16 @@ async def _fly(
     if failed:
         log("error", f"the simulator ended with an error: {errors.strip()}")
         return None
-    return daemon, json.loads(out.splitlines()[-1])
+    return daemon, json.loads(out)
 
 
-async def _simulate(arguments: argparse.Namespace, port: str) -> tuple[int | None, str, str]:
-    """Fly the simulator as a process of its own; return its exit code and what it said."""
+async def _simulate(
+    arguments: argparse.Namespace, port: str, landed: Callable[[], None]
+) -> tuple[int | None, str, str]:
+    """Fly the simulator as a process of its own; return its exit code and what it said.
+
+    `landed` is called as soon as the flight is over: its process takes a while to end.
+    """
     simulator = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "ahrs_service.app.cli", "simulate", "--json"),
         *("--link", f"udpout:{_HOST}:{port}", "--seconds", str(arguments.seconds)),
@@ -176,7 +180,12 @@ async def _simulate(arguments: argparse.Namespace, port: str) -> tuple[int | Non
         stderr=subprocess.PIPE,
     )
     try:
-        out, errors = await simulator.communicate()
+        assert simulator.stdout is not None
+        out = await simulator.stdout.readline()
+        # What is still in the socket belongs to the flight.
+        await asyncio.sleep(0.2)
+        landed()
+        _, errors = await simulator.communicate()
     finally:
         if simulator.returncode is None:
             simulator.terminate()

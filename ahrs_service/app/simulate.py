@@ -246,5 +246,5 @@ def run(args: argparse.Namespace) -> int:
             highlight=False,
         )
     if args.json:
-        print(json.dumps(report))
+        print(json.dumps(report), flush=True)
     return EXIT_DONE

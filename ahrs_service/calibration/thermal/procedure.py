@@ -43,8 +43,8 @@ PROCEDURE: Final = "thermal"
 LEAST_SPAN_K: Final = 2.0
 """Below this a recording shows the sensor's noise and no temperature [K]."""
 BIN_DEGC: Final = 5.0
-LEAST_ROWS: Final = 2 * TENTHS
-"""Two in each part that is held out: fewer tell nothing of time not seen."""
+LEAST_ROWS: Final = TENTHS
+"""One in each part that is held out: fewer tell nothing of time not seen."""
 
 _SIGMA_NODES: Final = 8
 _SIGNIFICANT: Final = 3.0
