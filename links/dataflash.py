@@ -14,6 +14,7 @@ from links.dataflash_tables import DataFlashFile, read_tables
 from links.errors import RecordingError
 from links.gps_velocity import LEAST_FIX, velocity_columns
 from links.recording import AttitudeReference, Recording
+from links.satellite_clock import clock_rate
 from links.unit_request import unit_name
 from links.vehicle_trim import trim_notes, trim_of_parameter
 
@@ -32,6 +33,8 @@ _TIMES: Final = {"TimeUS": 1000, "TimeMS": 1_000_000, "T": 1_000_000}
 _CLOCKS: Final = ("TimeUS", "TimeMS")
 _GPS_CLOCKS: Final = ("TimeUS", "T")
 """In the GPS records of old logs TimeMS is the satellites' time and T the autopilot's."""
+_SATELLITE_CLOCKS: Final = (("TimeUS", "GMS"), ("T", "TimeMS"))
+"""Stamps of a fix by the autopilot's clock and by the satellites' time of the week [ms]."""
 _BOARD: Final = re.compile(rb"\b([0-9A-F]{8}) ([0-9A-F]{8}) ([0-9A-F]{8})\b")
 """The number of the board in three words, as one of the first messages of a log gives it."""
 _FIRST_TEXTS: Final = 10
@@ -47,7 +50,8 @@ _REFERENCES: Final = ("SIM", "ATT", "AHR2", "XKF1", "NKF1", "EKF1")
 def read_dataflash(path: str | Path, progress: Callable[[float], None] | None = None) -> Recording:
     """Read a DataFlash log: the first IMU, aiding, the trim, and the autopilot's attitudes.
 
-    The log has one clock, so `received_ns` equals `time_ns`; readings are in the order of the
+    The log has one clock, so `received_ns` equals `time_ns`; where the satellites' time tells
+    another rate all times are by that (`Recording.clock_rate`). Readings are in the order of the
     file, but for the trim that it begins with, which holds from the first sample on. The velocity
     is that of the first GPS receiver, of the autopilot's filter only where that never had a fix.
     Temperature is the IMU's own (`T` or `Temp`, 0 is none). SIM, where a simulator wrote
@@ -64,15 +68,45 @@ def read_dataflash(path: str | Path, progress: Callable[[float], None] | None = 
     heartbeat = _rows(readings["time_ns"][:1], Kind.HEARTBEAT)
     heartbeat["autopilot"] = _AUTOPILOT_ARDUPILOT
     heartbeat["vehicle"] = _vehicle(log)
+    rate = clock_rate_of(log)
+    readings = np.concatenate([heartbeat, readings])
+    for field in ("time_ns", "received_ns"):
+        readings[field] = at_rate(readings[field], rate)
     return Recording(
         path=path,
         format="DataFlash",
-        readings=np.concatenate([heartbeat, readings]),
-        references=_references(log),
+        readings=readings,
+        references=_references(log, rate),
         message_counts=log.counts(),
         damaged=log.damaged,
-        notes=(*_notes(log, imu), *trim_notes(readings), *doubts),
+        notes=(*_notes(log, imu), *_clock_note(rate), *trim_notes(readings), *doubts),
         unit=_unit(log),
+        clock_rate=rate,
+    )
+
+
+def at_rate(time_ns: Integers, rate: float) -> Integers:
+    """Times [N] of a clock in each of whose seconds `rate` true ones pass."""
+    return time_ns if rate == 1.0 else np.rint(time_ns * rate).astype(np.int64)
+
+
+def clock_rate_of(log: DataFlashFile) -> float:
+    """Seconds of the satellites in one of the autopilot's, by the fixes of the first receiver."""
+    for own, satellites in _SATELLITE_CLOCKS:
+        table = _table(log, "GPS", ("Status", satellites), (own,))
+        if table is not None:
+            fixed = table.column("Status") >= LEAST_FIX
+            of_week_ms = table.column(satellites)[fixed].astype(np.int64)
+            return clock_rate(table.time_ns[fixed], of_week_ms)
+    return 1.0
+
+
+def _clock_note(rate: float) -> tuple[str, ...]:
+    if rate == 1.0:
+        return ()
+    return (
+        f"the autopilot's clock passes 1 s in {rate:.4f} s of the satellites' time: all times of "
+        "this log are by the satellites'",
     )
 
 
@@ -246,13 +280,13 @@ def _trim_readings(log: DataFlashFile, imu_offsets: Integers, imu: Rows) -> tupl
     return at, rows
 
 
-def _references(log: DataFlashFile) -> tuple[AttitudeReference, ...]:
+def _references(log: DataFlashFile, rate: float) -> tuple[AttitudeReference, ...]:
     found = []
     for name in _REFERENCES:
         table = _table(log, name, ("Roll", "Pitch", "Yaw"))
         if table is None:
             continue
-        time_ns = table.time_ns
+        time_ns = at_rate(table.time_ns, rate)
         q = quaternion_columns(np.radians(table.columns(("Roll", "Pitch", "Yaw"))))
         good = np.flatnonzero(np.isfinite(q).all(axis=1))
         good = good[np.argsort(time_ns[good], kind="stable")]

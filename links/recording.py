@@ -29,7 +29,8 @@ class Recording:
 
     `readings` [N] READING_DTYPE in order of arrival; `message_counts` messages by name;
     `damaged` frames or bytes that could not be read, by reason; `notes` facts for the user;
-    `unit` the number of the autopilot's board (links.unit_request), empty where it is not told.
+    `unit` the number of the autopilot's board (links.unit_request), empty where it is not told;
+    `clock_rate` by how much the log's own stamps were stretched to be seconds (1.0: not at all).
     """
 
     path: Path
@@ -40,3 +41,4 @@ class Recording:
     damaged: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     unit: str = ""
+    clock_rate: float = 1.0

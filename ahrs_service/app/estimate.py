@@ -2,13 +2,15 @@
 
 IN holds imu_gyr [N, 3] rad/s, imu_acc [N, 3] m/s^2 (specific force), and sampling_rate [Hz] or
 t [N] s, or both (then t holds). It may hold imu_mag [N, 3] uT, airspeed [N] m/s, vel_ned [N, 3]
-m/s and imu_degc [N], the sensor's temperature in degC, NaN where there is none. Other fields are
-not looked at. With --calibration the raw output of the sensor is compensated first, in axes
+m/s (or [N, 2], north and east) and imu_degc [N], the sensor's temperature in degC, NaN where there
+is none; a speed may also be held until the next comes, or be 0 where there is none. Other fields
+are not looked at. With --calibration the raw output of the sensor is compensated first, in axes
 forward, right, down.
 
 OUT holds one row per sample: quat [N, 4] wxyz without the magnetometer, its heading 0 at the
 start; quat9 [N, 4] with it, where there is imu_mag; sigma_deg [N, 3] 1-sigma of quat's error
 about the earth's axes; gate [N] why the accelerometer was not taken for the vertical, 0 if it was.
+Without --profile it is the one that force and rate of the whole recording show (app.recognition).
 With --offline all rows but gate are smoothed: what came later corrects what was before.
 
 --frame frd: sensor axes forward, right, down (level at rest: z = -9.81); quat turns them into
@@ -19,10 +21,7 @@ fusion.declination_deg), up.
 
 import argparse
 import math
-import zipfile
-import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -31,17 +30,10 @@ from rich.console import Console
 from rich.markup import escape
 
 from ahrs_service import pipeline
-from ahrs_service.app import config_file, options
+from ahrs_service.app import config_file, options, recognition
 from ahrs_service.app.calibration_choice import CalibrationShelf
-from ahrs_service.records import (
-    ESTIMATE_DTYPE,
-    SAMPLE_DTYPE,
-    Floats,
-    ImuSource,
-    Integers,
-    Rows,
-    empty,
-)
+from ahrs_service.app.columns import Columns, doubts, read_columns
+from ahrs_service.records import ESTIMATE_DTYPE, Floats, Rows, empty
 from ahrs_service.rotation import multiply_columns
 from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.sensor.prior import narrow
@@ -51,63 +43,8 @@ from links.errors import RecordingError
 
 EXIT_DONE: Final = 0
 _CHUNK: Final = 1 << 15
-_FASTEST_HZ: Final = 1e6
-_LONGEST_S: Final = 1e9
-_UNITS: Final = {
-    "imu_gyr": "rad/s",
-    "imu_acc": "m/s^2",
-    "imu_mag": "uT",
-    "airspeed": "m/s",
-    "vel_ned": "m/s",
-    "imu_degc": "degC",
-    "t": "s",
-    "sampling_rate": "Hz",
-}
-_NOT_AN_NPZ: Final = (
-    ValueError,
-    EOFError,
-    KeyError,
-    RuntimeError,
-    MemoryError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
-_SCALARS: Final = ("airspeed", "imu_degc", "t")
-_FLIPPED: Final = np.array([1.0, -1.0, -1.0])
 _FRD_FROM_FLU: Final = np.array([0.0, 1.0, 0.0, 0.0])
 _ENU_FROM_NED: Final = np.array([0.0, math.sqrt(0.5), math.sqrt(0.5), 0.0])
-
-
-@dataclass(frozen=True, slots=True)
-class Columns:
-    """Samples [N] as IN has them: its own sensor axes, its own types; None where not given."""
-
-    time_ns: Integers
-    gyro_rad_s: Any
-    accel_m_s2: Any
-    mag_ut: Any = None
-    airspeed_m_s: Any = None
-    velocity_ned_m_s: Any = None
-    temperature_degc: Any = None
-
-    def samples(self, start: int, stop: int, frame: str, magnetometer: bool) -> Rows:
-        """Rows [stop - start] SAMPLE_DTYPE in forward-right-down axes."""
-        rows = empty(SAMPLE_DTYPE, stop - start)
-        part = slice(start, stop)
-        turn = _FLIPPED if frame == "flu" else 1.0
-        rows["time_ns"] = rows["received_ns"] = self.time_ns[part]
-        rows["gyro_rad_s"] = self.gyro_rad_s[part] * turn
-        rows["accel_m_s2"] = self.accel_m_s2[part] * turn
-        rows["source"] = ImuSource.HIGHRES_IMU
-        if magnetometer:
-            rows["mag_ut"] = self.mag_ut[part] * turn
-        if self.airspeed_m_s is not None:
-            rows["airspeed_m_s"] = self.airspeed_m_s[part]
-        if self.velocity_ned_m_s is not None:
-            rows["velocity_ned_m_s"] = self.velocity_ned_m_s[part]
-        if self.temperature_degc is not None:
-            rows["temperature_degc"] = self.temperature_degc[part]
-        return rows
 
 
 def estimate_columns(
@@ -178,97 +115,6 @@ def _turned(ned_from_body: Floats, frame: str, earth: Floats) -> Floats:
     return flipped
 
 
-def read_columns(path: Path) -> Columns:
-    """Read IN; RecordingError names the file, the field, what is wrong and what to give."""
-    fields = _read_fields(path)
-    for name in ("imu_gyr", "imu_acc"):
-        if name not in fields:
-            raise RecordingError(
-                f"{path}: field {name} is missing (there are: {', '.join(fields) or 'none'}); "
-                f"give {name} [N, 3] in {_UNITS[name]}"
-            )
-    count = len(fields["imu_gyr"]) if fields["imu_gyr"].ndim else 0
-    vectors = {}
-    for name, array in fields.items():
-        if name != "sampling_rate":
-            vectors[name] = _checked(path, name, array, count)
-    if not count:
-        raise RecordingError(f"{path}: imu_gyr holds no sample; give at least one row")
-    return Columns(
-        _time_ns(path, vectors.get("t"), fields.get("sampling_rate"), count),
-        vectors["imu_gyr"],
-        vectors["imu_acc"],
-        vectors.get("imu_mag"),
-        vectors.get("airspeed"),
-        vectors.get("vel_ned"),
-        vectors.get("imu_degc"),
-    )
-
-
-def _read_fields(path: Path) -> dict[str, Any]:
-    """Read the fields that are known."""
-    try:
-        file = np.load(path, allow_pickle=False)
-        if not isinstance(file, np.lib.npyio.NpzFile):
-            raise RecordingError(f"{path}: holds one array without a name; give an .npz")
-        with file:
-            return {name: np.asarray(file[name]) for name in file.files if name in _UNITS}
-    except OSError as error:
-        reason = error.strerror or error
-        raise RecordingError(f"{path}: cannot be read: {reason}; give an .npz file") from None
-    except _NOT_AN_NPZ as error:
-        raise RecordingError(
-            f"{path}: is no whole .npz of plain numbers ({error}); write it with numpy.savez"
-        ) from None
-
-
-def _checked(path: Path, name: str, array: Any, count: int) -> Any:
-    """Return `array` if its type and shape are those of field `name`."""
-    wanted = (count,) if name in _SCALARS else (count, 3)
-    text = "[N]" if name in _SCALARS else "[N, 3]"
-    if array.dtype.kind not in "fiu":
-        raise RecordingError(
-            f"{path}: {name} is of type {array.dtype}; give real numbers {text} in {_UNITS[name]}"
-        )
-    if array.shape != wanted:
-        rows = "" if name == "imu_gyr" else f" with N = {count}, as imu_gyr has"
-        raise RecordingError(
-            f"{path}: {name} has shape {array.shape}; give {text} in {_UNITS[name]}{rows}"
-        )
-    return array
-
-
-def _time_ns(path: Path, t: Any, rate: Any, count: int) -> Integers:
-    """Times [N] [ns] from the first sample's; a missing stamp is put between its neighbours."""
-    if t is None:
-        step_ns = 1e9 / _rate_hz(path, rate)
-        return np.rint(np.arange(count) * step_ns).astype(np.int64)
-    seconds = t.astype(np.float64)
-    known = np.isfinite(seconds)
-    if not known.any():
-        raise RecordingError(f"{path}: t holds no finite time; give seconds, or sampling_rate")
-    places = np.arange(count)
-    seconds = np.interp(places, places[known], seconds[known]) - seconds[known][0]
-    far = np.abs(seconds).max()
-    if far > _LONGEST_S:
-        raise RecordingError(f"{path}: t spans {far:g} s; give the time of each sample in seconds")
-    return np.rint(seconds * 1e9).astype(np.int64)
-
-
-def _rate_hz(path: Path, rate: Any) -> float:
-    if rate is None:
-        raise RecordingError(
-            f"{path}: neither sampling_rate nor t is there; give sampling_rate in Hz, "
-            "or t [N] in seconds"
-        )
-    value = float(rate.item()) if rate.size == 1 and rate.dtype.kind in "fiu" else math.nan
-    if not 0.0 < value <= _FASTEST_HZ:
-        raise RecordingError(
-            f"{path}: sampling_rate = {rate}; give one number above 0 and up to {_FASTEST_HZ:g} Hz"
-        )
-    return value
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ahrs-service estimate`."""
     parser.add_argument("--in", dest="source", type=Path, required=True, metavar="IN.npz")
@@ -291,9 +137,15 @@ def run(args: argparse.Namespace) -> int:
     if choice is None and shelf.is_folder:
         raise config_file.ConfigError(shelf.refusal(""))
     columns = read_columns(args.source)
+    if args.profile is None and settings.fusion.airframe == "auto":
+        args.profile = recognition.profile_of(recognition.signs_of(columns, args.frame))
+        settings = options.settings_of(args)
+        console.print(f"taken for {args.profile} by its motion; --profile says it", highlight=False)
     known = None if choice is None else choice.calibration
     out = estimate_columns(columns, settings, args.frame, args.offline, known)
     _write(args.out, out)
+    for doubt in doubts(columns, args.frame):
+        console.print(escape(f"{args.source}: {doubt}"), highlight=False, soft_wrap=True)
     if choice is not None:
         console.print(escape(choice.text()), highlight=False, soft_wrap=True)
     console.print(

@@ -124,8 +124,11 @@ _OLD_CURRENT_A: Final = 1e-2
 _CLOCKS: Final = {"TimeUS": 1e-6, "TimeMS": 1e-3}
 
 
-def dataflash_covariates(log: DataFlashFile) -> dict[str, Series]:
-    """Return vibration, current, throttle and airspeed of the first instance of each."""
+def dataflash_covariates(log: DataFlashFile, clock_rate: float) -> dict[str, Series]:
+    """Return vibration, current, throttle and airspeed of the first instance of each.
+
+    The log's seconds last `clock_rate` seconds (links.recording).
+    """
     found: dict[str, Series] = {}
     for what, name, fields, unit in _DATAFLASH:
         if what in found or not log.counts().get(name):
@@ -143,7 +146,7 @@ def dataflash_covariates(log: DataFlashFile) -> dict[str, Series]:
         if name == "CURR" and clock == "TimeMS":
             values *= _OLD_CURRENT_A
         series = values if len(fields) > 1 else values[:, 0]
-        found[what] = rising(Series(_seconds(table[clock], _CLOCKS[clock]), series))
+        found[what] = rising(Series(_seconds(table[clock], clock_rate * _CLOCKS[clock]), series))
     return found
 
 

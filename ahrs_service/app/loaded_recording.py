@@ -79,7 +79,7 @@ def load(path: Path, progress: Progress | None = None) -> Loaded:
             true_s = np.asarray(reference.time_ns * 1e-9 - shift_s, np.float64)
             velocity = true_velocity(tlog, clock.vehicle, true_s)
     elif recording.format == "DataFlash":
-        covariates = dataflash_covariates(read_tables(path))
+        covariates = dataflash_covariates(read_tables(path), recording.clock_rate)
     imu_s: Floats = imu["time_ns"] * 1e-9 - shift_s
     gyro, accel = imu["gyro_rad_s"].copy(), imu["accel_m_s2"].copy()
     if imu_s[0] > 1e8:

@@ -3,7 +3,7 @@
 from typing import Final
 
 from ahrs_service.fusion import timebase
-from ahrs_service.kernel import kernel
+from ahrs_service.kernel import inlined_kernel
 from ahrs_service.records import Flag, Floats, Record
 
 _NOT_FINITE = int(Flag.NOT_FINITE)
@@ -21,7 +21,7 @@ PLAUSIBILITY_FIELDS: Final = [("spikes", "i8"), ("spike_time_ns", "i8")]
 """Fields of the pipeline's state that this module keeps."""
 
 
-@kernel
+@inlined_kernel
 def check(settings: Record, state: Record, sample: Record, gyro: Floats, accel: Floats) -> int:
     """Find clipped, missing and impossible values; a single impossible rate is held back."""
     flags = 0

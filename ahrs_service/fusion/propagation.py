@@ -19,7 +19,7 @@ from ahrs_service.fusion.states import (
     VELOCITY,
     WIND,
 )
-from ahrs_service.kernel import kernel
+from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Flag, Floats, Record
 from ahrs_service.rotation import matrix
 
@@ -31,6 +31,7 @@ PROPAGATION_FIELDS: Final = [
     ("turn_force_m_s", "f8", 3),
     ("turn_force_s", "f8"),
     ("turn_angle_variance", "f8"),
+    ("turn_shake_variance", "f8"),
     ("turn_velocity_variance", "f8"),
     ("turn_bias_variance", "f8"),
     ("turn_degc", "f8"),
@@ -66,7 +67,7 @@ _GAP = int(Flag.GAP)
 _ACCEL_MISSING = int(Flag.ACCEL_MISSING)
 
 
-@kernel
+@inlined_kernel
 def move(
     settings: Record,
     state: Record,
@@ -89,7 +90,7 @@ def move(
         state["turn_angle_variance"] += (GAP_RATE_SIGMA_RAD_S * dt_s) ** 2
         state["interval_before_s"] = 0.0
     else:
-        state["turn_angle_variance"] += unknown2 * dt_s * dt_s
+        state["turn_shake_variance"] += unknown2 * dt_s * dt_s
         before_s, is_mean = state["interval_before_s"], settings["samples_are_means"] != 0
         state["interval_before_s"] = dt_s
         strapdown.rotate(state["ned_from_body"], earlier, before, rate, before_s, dt_s, is_mean)
@@ -108,7 +109,7 @@ def move(
             _move_velocity(settings, state, airframe, accel, dt_s, norm2)
 
 
-@kernel
+@inlined_kernel
 def _take_rate(state: Record, gyro: Floats, dt_s: float) -> tuple[float, float]:
     """Correct the rate; return the variance of the rate between this and the last, and its square.
 
@@ -152,7 +153,7 @@ def _average_force(state: Record, accel: Floats, weight: float) -> float:
     return norm2
 
 
-@kernel
+@inlined_kernel
 def _move_velocity(
     settings: Record, state: Record, airframe: int, accel: Floats, dt_s: float, norm2: float
 ) -> None:
@@ -198,7 +199,7 @@ def _follow_arc(state: Record, accel: Floats, dt_s: float, arc: Floats) -> None:
         before[i] = accel[i]
 
 
-@kernel
+@inlined_kernel
 def grow(settings: Record, state: Record, degc: float, is_compensated: bool) -> None:
     """Propagate the covariance over the turn.
 
@@ -214,7 +215,9 @@ def grow(settings: Record, state: Record, degc: float, is_compensated: bool) -> 
         rate[i] /= turn_s
     rotation_s, impulse = state["turn_rotation_s"], state["turn_impulse_m_s"]
     mekf.propagate(p, states, rotation_s, rate, impulse, state["turned_rows"])
-    angle = settings["gyro_noise_rad_s_rthz"] ** 2 * turn_s + state["turn_angle_variance"]
+    # The shake that was seen has the gyro's noise in it.
+    noise = max(settings["gyro_noise_rad_s_rthz"] ** 2 * turn_s, state["turn_shake_variance"])
+    angle = noise + state["turn_angle_variance"]
     bias = settings["gyro_bias_walk_rad_s2_rthz"] ** 2 * turn_s + state["turn_bias_variance"]
     per_rtdegc = settings["gyro_bias_per_rtdegc_rad_s"]
     if is_compensated:
@@ -245,7 +248,7 @@ def _warmed(state: Record, degc: float) -> float:
 def begin_turn(state: Record) -> None:
     """Set the turn's integrals to zero."""
     state["turn_s"] = 0.0
-    state["turn_angle_variance"] = 0.0
+    state["turn_angle_variance"] = state["turn_shake_variance"] = 0.0
     state["turn_velocity_variance"] = 0.0
     state["turn_bias_variance"] = 0.0
     state["turn_force_s"] = 0.0

@@ -7,12 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ahrs_service import pipeline
-from ahrs_service.app import estimate
+from ahrs_service.app import config_file, estimate
 from ahrs_service.app.cli import main
 from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, ImuSource, empty
 from ahrs_service.rotation import euler_columns, inverse_columns, multiply_columns
 from ahrs_service.sensor.parameters import Calibration, coefficients
-from ahrs_service.settings import Settings
 from ahrs_service.simulation.scenario import make_flight
 
 FLIP = np.array([1.0, -1.0, -1.0])
@@ -91,7 +90,7 @@ def test_the_answer_is_the_pipelines_to_the_last_bit(flight, run, monkeypatch):
     samples["source"] = ImuSource.HIGHRES_IMU
     expected = empty(ESTIMATE_DTYPE, len(rows))
     pipeline.batch(
-        pipeline.parameters(Settings()),
+        pipeline.parameters(config_file.load(profile="fixed_wing")),
         coefficients(Calibration.ideal()),
         pipeline.new_state(),
         samples,
@@ -99,7 +98,7 @@ def test_the_answer_is_the_pipelines_to_the_last_bit(flight, run, monkeypatch):
     )
     # Several pieces, the last of them short.
     monkeypatch.setattr(estimate, "_CHUNK", 1000)
-    out = run(only(fields))
+    out = run(only(fields), "--profile", "fixed_wing")
     assert out["quat"].tobytes() == expected["ned_from_body"].tobytes()
     assert out["gate"].tobytes() == expected["gate"].tobytes()
     assert "quat9" not in out
@@ -176,13 +175,114 @@ def test_each_profile_gives_an_answer_of_its_own(flight, run):
     fields, _ = flight
     profiles = ("fixed_wing", "multirotor", "hand_held", "ground_test")
     answers = {run(only(fields), "--profile", one)["quat"].tobytes() for one in profiles}
-    assert len(answers | {run(only(fields))["quat"].tobytes()}) == len(profiles) + 1
+    answers.add(run(only(fields), "--set", "fusion.airframe=other")["quat"].tobytes())
+    assert len(answers) == len(profiles) + 1
+
+
+def test_without_a_profile_the_motion_says_it(flight, run, capsys):
+    """The flight turns as a fixed wing does; of half a minute at rest nothing is told."""
+    fields, _ = flight
+    own = run(only(fields), "--profile", "fixed_wing")["quat"]
+    assert run(only(fields))["quat"].tobytes() == own.tobytes()
+    assert "taken for fixed_wing" in capsys.readouterr().err
+    rest = {name: fields[name][:600] for name in ("imu_gyr", "imu_acc")} | {"sampling_rate": 20.0}
+    run(rest)
+    assert "taken for multirotor" in capsys.readouterr().err
+    run(in_flu(only(fields)), "--frame", "flu", "--set", "fusion.airframe=fixed_wing")
+    assert "taken for" not in capsys.readouterr().err
 
 
 def test_airspeed_is_used(flight, run):
     fields, _ = flight
     with_it = run(only(fields, "airspeed"), "--profile", "fixed_wing")["quat"]
     assert with_it.tobytes() != run(only(fields), "--profile", "fixed_wing")["quat"].tobytes()
+
+
+SLOW_ROWS = 20
+"""At 100 Hz: speeds that come five times a second."""
+
+
+@pytest.fixture(scope="module")
+def aided(flight):
+    """The fields of IN with speeds five times a second, NaN between, and no vertical one."""
+    fields, rows = flight
+    seldom = np.arange(len(rows)) % SLOW_ROWS != 0
+    fields = {
+        name: np.array(fields[name]) for name in ("imu_gyr", "imu_acc", "airspeed", "vel_ned")
+    }
+    fields["vel_ned"][:, 2] = np.nan
+    for name in ("airspeed", "vel_ned"):
+        fields[name][seldom] = np.nan
+    return fields | {"t": np.arange(len(rows)) / 100.0}
+
+
+def held(values):
+    return values[np.arange(len(values)) // SLOW_ROWS * SLOW_ROWS]
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        lambda fields: {name: held(fields[name]) for name in ("airspeed", "vel_ned")},
+        lambda fields: {name: np.nan_to_num(fields[name]) for name in ("airspeed", "vel_ned")},
+        lambda fields: {"vel_ned": np.nan_to_num(fields["vel_ned"])},
+        lambda fields: {"vel_ned": fields["vel_ned"][:, :2]},
+    ],
+    ids=["held", "0 where there is none", "vertical 0", "two columns"],
+)
+def test_every_form_of_the_same_speeds_tells_the_same(aided, run, form):
+    expected = run(aided, "--profile", "fixed_wing")["quat"]
+    assert angle_deg(run(only_imu(aided), "--profile", "fixed_wing")["quat"], expected).max() > 1.0
+    answer = run(aided | form(aided), "--profile", "fixed_wing")["quat"]
+    # One turn of the filter may take a held airspeed where another took none.
+    assert angle_deg(answer, expected).max() < 0.3
+
+
+def only_imu(fields):
+    return {name: fields[name] for name in ("imu_gyr", "imu_acc", "t")}
+
+
+def test_an_airspeed_that_stands_still_is_no_longer_heard(aided, run):
+    stuck = held(aided["airspeed"])
+    stuck[3000:] = stuck[3000]
+    gone = stuck.copy()
+    gone[3301:] = np.nan
+    answers = [
+        run(only_imu(aided) | {"airspeed": one}, "--profile", "fixed_wing")["quat"]
+        for one in (stuck, gone)
+    ]
+    np.testing.assert_array_equal(*answers)
+
+
+def test_time_may_begin_anywhere(aided, run):
+    """Speeds in the first seconds after 0 are heard as later ones are."""
+    expected = run(aided, "--profile", "fixed_wing")["quat"]
+    later = run(aided | {"t": aided["t"] + 1e5}, "--profile", "fixed_wing")["quat"]
+    assert angle_deg(later, expected).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("fields", "frame", "said"),
+    [
+        ({"imu_acc": lambda acc: acc / 9.80665}, "frd", ["imu_acc", "median length of 1"]),
+        ({"imu_gyr": np.degrees}, "frd", ["imu_gyr", "not deg/s"]),
+        ({"imu_mag": lambda mag: mag * 0.01}, "frd", ["imu_mag", "uT"]),
+        ({}, "flu", ["upside down", "--frame frd"]),
+        ({}, "frd", []),
+    ],
+)
+def test_other_units_and_axes_are_told(flight, tmp_path, capsys, fields, frame, said):
+    given_ = dict(flight[0])
+    for name, change in fields.items():
+        given_[name] = change(given_[name])
+    source = tmp_path / "in.npz"
+    np.savez(source, **given_)
+    words = ["--in", str(source), "--out", str(tmp_path / "out.npz"), "--frame", frame]
+    assert main(["estimate", *words]) == 0
+    message = capsys.readouterr().err
+    assert message.count("give") == (1 if said else 0)
+    for text in said:
+        assert text in message
 
 
 def test_a_magnetometer_switched_off_gives_no_second_attitude(flight, run):
@@ -213,6 +313,8 @@ GOOD = {"imu_gyr": ROWS, "imu_acc": ROWS, "sampling_rate": 100.0}
         (GOOD | {"sampling_rate": [1.0, 2.0]}, ["sampling_rate", "one number"]),
         (GOOD | {"t": np.full(5, np.nan)}, ["t holds no finite time"]),
         (GOOD | {"t": np.arange(5) * 1e12}, ["t spans", "seconds"]),
+        (GOOD | {"t": np.arange(5) * 20.0}, ["t rises by 20 a sample", "seconds"]),
+        (GOOD | {"t": np.ones(5)}, ["t never rises", "sampling_rate"]),
         (GOOD | {"imu_gyr": np.array([None] * 5)}, ["no whole .npz"]),
     ],
 )

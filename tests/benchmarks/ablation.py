@@ -23,7 +23,8 @@ from rich.table import Table
 
 from ahrs_service import pipeline
 from ahrs_service.app import config_file
-from ahrs_service.app.estimate import estimate_columns, read_columns
+from ahrs_service.app.columns import read_columns
+from ahrs_service.app.estimate import estimate_columns
 from ahrs_service.comparison import compare
 from ahrs_service.records import ESTIMATE_DTYPE, empty
 from ahrs_service.sensor.parameters import Calibration, coefficients
@@ -34,7 +35,10 @@ FLIGHTS = (
     *("quad106", "copter pixhawk", "log0036", "sitl"),
 )
 CLASSES = ("fixed_wing", "multirotor", "hand_held")
-HAND_HELD = ["fusion.airframe=hand_held", "fusion.gyro_sample=mean", "fusion.magnetometer=false"]
+HAND_HELD = [
+    *("fusion.airframe=hand_held", "fusion.gyro_sample=mean", "fusion.magnetometer=false"),
+    "fusion.gyro_scale_error_rts=0.0005",
+]
 
 
 def _in_all(setting: str) -> list[str]:

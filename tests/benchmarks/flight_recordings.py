@@ -32,7 +32,7 @@ SLOWEST_HZ = 8.0
 
 @dataclass(frozen=True)
 class Flight:
-    """One recording: samples [N] SAMPLE_DTYPE and the attitude it has itself."""
+    """One recording: samples [N] SAMPLE_DTYPE in the vehicle's axes, the attitude it has itself."""
 
     name: str
     samples: Rows
@@ -60,11 +60,21 @@ def read_flight(name: str, path: Path) -> Flight:
         samples,
         positions,
     )
-    samples = samples[:count]
+    samples = _in_vehicle_axes(samples[:count])
     if not count or 1e9 / np.median(np.diff(samples["time_ns"])) < SLOWEST_HZ:
         raise RecordingError(f"{path}: its IMU comes at less than {SLOWEST_HZ:.0f} Hz")
     references = sorted(recording.references, key=lambda one: not one.is_truth)
     return Flight(name, samples, references[0])
+
+
+def _in_vehicle_axes(samples: Rows) -> Rows:
+    """Turn rate and force [N, 3] by the trim, so that every filter gets the same."""
+    (trimmed,) = np.nonzero(np.isfinite(samples["vehicle_from_board"][:, 0, 0]))
+    turn = samples["vehicle_from_board"][trimmed]
+    for name in ("gyro_rad_s", "accel_m_s2"):
+        samples[name][trimmed] = np.einsum("nij,nj->ni", turn, samples[name][trimmed])
+    samples["vehicle_from_board"] = np.nan
+    return samples
 
 
 def recordings(data: Path, names: list[str], everything: bool) -> dict[str, Path]:

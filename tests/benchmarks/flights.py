@@ -36,7 +36,8 @@ from rich.table import Table
 
 from ahrs_service import pipeline
 from ahrs_service.app import config_file
-from ahrs_service.app.estimate import estimate_columns, read_columns
+from ahrs_service.app.columns import read_columns
+from ahrs_service.app.estimate import estimate_columns
 from ahrs_service.comparison import Comparison, compare
 from ahrs_service.records import (
     ESTIMATE_DTYPE,

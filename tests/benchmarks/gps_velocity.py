@@ -1,4 +1,4 @@
-"""The velocity that a recording's GPS receiver measured, before any filter of the autopilot.
+"""Velocity and height that a recording's GPS receiver measured, before any filter of the autopilot.
 
 GPS_RAW_INT of a .tlog, GPS of a DataFlash log, vehicle_gps_position of a ULog. A receiver's
 velocity comes from Doppler shifts and knows nothing of the vehicle's attitude.
@@ -13,6 +13,7 @@ import numpy.typing as npt
 from pyulog import ULog
 
 from ahrs_service.records import Kind, Rows
+from links.dataflash import at_rate, clock_rate_of
 from links.dataflash_tables import read_tables
 from links.tlog import read_tlog
 
@@ -27,10 +28,14 @@ COURSE_SPEED_M_S = 5.0
 
 @dataclass(frozen=True)
 class GpsVelocity:
-    """`time_ns` [N] on the clock of the IMU, rising; `ned_m_s` [N, 3], down NaN if not measured."""
+    """`time_ns` [N] on the clock of the IMU, rising; `ned_m_s` [N, 3], down NaN if not measured.
+
+    `height_m` [N] above the sea, NaN where it is not known.
+    """
 
     time_ns: npt.NDArray[np.int64]
     ned_m_s: npt.NDArray[np.float64]
+    height_m: npt.NDArray[np.float64]
 
 
 def gps_velocity(path: Path, readings: Rows) -> GpsVelocity | None:
@@ -39,7 +44,7 @@ def gps_velocity(path: Path, readings: Rows) -> GpsVelocity | None:
     found = read(path, readings[readings["kind"] == Kind.IMU])
     if found is None:
         return None
-    time_ns, ned = found
+    time_ns, ned, height_m = found
     good = np.isfinite(ned[:, :2]).all(axis=1) & (np.abs(ned[:, :2]) < SPEED_LIMIT_M_S).all(axis=1)
     newest = np.maximum.accumulate(time_ns)
     good[1:] &= time_ns[1:] > newest[:-1]
@@ -47,7 +52,7 @@ def gps_velocity(path: Path, readings: Rows) -> GpsVelocity | None:
     good[1:] &= (ned[1:, :2] != ned[:-1, :2]).any(axis=1)
     if good.sum() < LEAST_COUNT:
         return None
-    return GpsVelocity(time_ns[good], ned[good])
+    return GpsVelocity(time_ns[good], ned[good], height_m[good])
 
 
 def _ned(speed: Any, course_deg: Any, down: Any) -> npt.NDArray[np.float64]:
@@ -56,7 +61,7 @@ def _ned(speed: Any, course_deg: Any, down: Any) -> npt.NDArray[np.float64]:
     return np.stack([speed * np.cos(course), speed * np.sin(course), down], axis=1)
 
 
-def _of_tlog(path: Path, imu: Rows) -> tuple[Any, Any] | None:
+def _of_tlog(path: Path, imu: Rows) -> tuple[Any, Any, Any] | None:
     tlog = read_tlog(path)
     vehicle = (int(imu["system"][0]), int(imu["component"][0]))
     table = tlog.tables.get((*vehicle, "GPS_RAW_INT"))
@@ -71,7 +76,8 @@ def _of_tlog(path: Path, imu: Rows) -> tuple[Any, Any] | None:
     if time_ns[0] < imu["time_ns"][0] - 10**9 or time_ns[-1] > imu["time_ns"][-1] + 10**9:
         lead_ns = np.median(imu["time_ns"] - imu["received_ns"])
         time_ns = table["received_us"].astype(np.int64) * 1000 + int(lead_ns)
-    return time_ns, _ned(1e-2 * table["vel"], _course_deg(time_ns, table), np.nan)
+    ned = _ned(1e-2 * table["vel"], _course_deg(time_ns, table), np.nan)
+    return time_ns, ned, 1e-3 * table["alt"]
 
 
 def _course_deg(time_ns: Any, table: Rows) -> Any:
@@ -89,7 +95,7 @@ def _course_deg(time_ns: Any, table: Rows) -> Any:
     return max((raw, np.degrees(raw)), key=agreement)
 
 
-def _of_dataflash(path: Path, imu: Rows) -> tuple[Any, Any] | None:
+def _of_dataflash(path: Path, imu: Rows) -> tuple[Any, Any, Any] | None:
     log = read_tables(path)
     table = log.table("GPS") if "GPS" in log.counts() else ()
     if not len(table):
@@ -98,16 +104,18 @@ def _of_dataflash(path: Path, imu: Rows) -> tuple[Any, Any] | None:
     # Before TimeUS there was the receiver's own time, and T of the autopilot [ms].
     old = "TimeUS" not in (table.dtype.names or ())
     time_ns = table["T" if old else "TimeUS"].astype(np.int64) * (1_000_000 if old else 1000)
-    speed, course, down = (log.column(table, "GPS", name) for name in ("Spd", "GCrs", "VZ"))
-    return time_ns, _ned(speed, course, down)
+    names = ("Spd", "GCrs", "VZ", "Alt")
+    speed, course, down, height_m = (log.column(table, "GPS", name) for name in names)
+    return at_rate(time_ns, clock_rate_of(log)), _ned(speed, course, down), height_m
 
 
-def _of_ulog(path: Path, imu: Rows) -> tuple[Any, Any] | None:
+def _of_ulog(path: Path, imu: Rows) -> tuple[Any, Any, Any] | None:
     names = ("vehicle_gps_position", "sensor_gps")
     for table in ULog(str(path), list(names)).data_list:
         data = table.data
         fixed = data["fix_type"] >= LEAST_FIX
         ned = np.stack([data[f"vel_{axis}_m_s"] for axis in "ned"], axis=1).astype(np.float64)
         if fixed.any():
-            return data["timestamp"][fixed].astype(np.int64) * 1000, ned[fixed]
+            time_ns = data["timestamp"][fixed].astype(np.int64) * 1000
+            return time_ns, ned[fixed], np.full(len(time_ns), np.nan)
     return None

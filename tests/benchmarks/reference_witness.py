@@ -42,6 +42,7 @@ from typing import Any
 import numpy as np
 from flight_recordings import LOGS, Flight, read_flight
 from flights import estimates_of
+from gps_reference import usable
 from gps_velocity import GpsVelocity, gps_velocity
 from peers import G0, SHARED_DATA, Floats, require_data
 from rich.console import Console
@@ -93,10 +94,7 @@ class Attitudes:
 def attitudes(flight: Flight) -> Attitudes:
     """Run ours and the peers; keep the peer that is nearest to the reference."""
     samples = flight.samples
-    good = np.isfinite(samples["gyro_rad_s"]).all(axis=1)
-    good &= np.isfinite(samples["accel_m_s2"]).all(axis=1)
-    newest = np.maximum.accumulate(samples["time_ns"])
-    good[1:] &= samples["time_ns"][1:] > newest[:-1]
+    good = usable(samples)
     origin = samples["time_ns"][0]
     t_s = (samples["time_ns"][good] - origin) * 1e-9
     order = np.argsort(flight.reference.time_ns, kind="stable")

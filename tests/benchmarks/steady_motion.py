@@ -24,7 +24,7 @@ from rich.table import Table
 
 from ahrs_service import pipeline
 from ahrs_service.app import config_file
-from ahrs_service.app.estimate import read_columns
+from ahrs_service.app.columns import read_columns
 from ahrs_service.records import ESTIMATE_DTYPE, Phase, Rows, empty
 from ahrs_service.rotation import euler_columns
 from ahrs_service.sensor.parameters import Calibration, coefficients
