@@ -40,6 +40,8 @@ PROPAGATION_FIELDS: Final = [
     ("force_now_ned_m_s2", "f8", 3),
     ("arc_force_m_s2", "f8", 3),
     ("interval_before_s", "f8"),
+    ("blind_s", "f8", 3),
+    ("turn_blind_variance", "f8", 3),
     ("applied", "f8", ERROR_STATES),
     ("turned_rad", "f8"),
 ]
@@ -50,6 +52,9 @@ TURN_S: Final = 0.12
 """Corrections 8 times a second follow what drifts over seconds; shorter turns gain nothing."""
 GAP_RATE_SIGMA_RAD_S: Final = 1.0
 """What a small UAV may have turned, per second that no sample came [rad/s]."""
+RATE_CORRELATION_S: Final = 0.4
+"""How long a small UAV turns the same way [s]. Of a Markov rate known at both ends of a gap T the
+turn is known too: the mean of both times 2 tau tanh(T / (2 tau))."""
 GAP_FORCE_SIGMA_M_S2: Final = 3.0
 """And how it may have accelerated [m/s^2]."""
 ALIASED: Final = 1.0 / 36.0
@@ -88,11 +93,14 @@ def move(
     if flags & _GAP:
         state["turn_angle_variance"] += (GAP_RATE_SIGMA_RAD_S * dt_s) ** 2
         state["interval_before_s"] = 0.0
+        known_s = 2.0 * RATE_CORRELATION_S * math.tanh(0.5 * dt_s / RATE_CORRELATION_S)
+        strapdown.rotate(state["ned_from_body"], before, before, rate, 0.0, known_s, False)
     else:
         state["turn_angle_variance"] += unknown2 * dt_s * dt_s
         before_s, is_mean = state["interval_before_s"], settings["samples_are_means"] != 0
         state["interval_before_s"] = dt_s
         strapdown.rotate(state["ned_from_body"], earlier, before, rate, before_s, dt_s, is_mean)
+    _count_blind(state, dt_s)
     pull_per_s = 1.0 / (settings["smoothing_s"] + dt_s)
     _smooth_rate(state, rate, pull_per_s, dt_s)
     matrix(state["ned_from_body"], dcm)
@@ -106,6 +114,19 @@ def move(
         norm2 = _average_force(state, accel, pull_per_s * dt_s)
         if settings["use_velocity"] != 0:
             _move_velocity(settings, state, airframe, accel, dt_s, norm2)
+
+
+@kernel
+def _count_blind(state: Record, dt_s: float) -> None:
+    """Widen the angle about an axis whose rate is not known, and stays so: by time squared."""
+    for i in range(3):
+        if state["gyro_is_blind"][i] == 0:
+            state["blind_s"][i] = 0.0
+            continue
+        before_s = state["blind_s"][i]
+        state["blind_s"][i] = before_s + dt_s
+        grown_s2 = dt_s * (2.0 * before_s + dt_s)
+        state["turn_blind_variance"][i] += GAP_RATE_SIGMA_RAD_S**2 * grown_s2
 
 
 @kernel
@@ -220,8 +241,13 @@ def grow(settings: Record, state: Record, degc: float, is_compensated: bool) -> 
     if is_compensated:
         per_rtdegc = settings["compensated_bias_per_rtdegc_rad_s"]
     bias += per_rtdegc**2 * _warmed(state, degc)
+    dcm, blind = state["dcm"], state["turn_blind_variance"]
     for i in range(3):
         p[i, i] += angle
+        if blind[i] > 0.0:
+            for j in range(3):
+                for k in range(3):
+                    p[j, k] += blind[i] * dcm[j, i] * dcm[k, i]
         p[GYRO_BIAS + i, GYRO_BIAS + i] += bias
         if states > GATED:
             p[VELOCITY + i, VELOCITY + i] += state["turn_velocity_variance"]
@@ -250,6 +276,7 @@ def begin_turn(state: Record) -> None:
     state["turn_bias_variance"] = 0.0
     state["turn_force_s"] = 0.0
     for i in range(3):
+        state["turn_blind_variance"][i] = 0.0
         state["turn_impulse_m_s"][i] = 0.0
         state["turn_gyro_rad"][i] = 0.0
         state["turn_force_m_s"][i] = 0.0
