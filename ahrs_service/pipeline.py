@@ -31,7 +31,7 @@ from ahrs_service.fusion import (
     timebase,
 )
 from ahrs_service.fusion.states import ERROR_STATES, GYRO_BIAS
-from ahrs_service.kernel import kernel
+from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Airframe, Flag, Floats, Phase, Record, Rows
 from ahrs_service.sensor.compensation import compensate_sample
 from ahrs_service.sensor.thermometer import THERMOMETER_FIELDS, forget_temperature
@@ -164,7 +164,7 @@ def parameters(settings: Settings) -> Rows:
     return row
 
 
-@kernel
+@inlined_kernel
 def _turn(
     settings: Record, state: Record, sample: Record, airframe: int, flags: int, nodes: Rows | None
 ) -> None:
@@ -275,7 +275,7 @@ def _airframe(settings: Record, sample: Record) -> int:
     return int(sample["airframe"]) if settings["airframe"] < 0 else int(settings["airframe"])
 
 
-@kernel
+@inlined_kernel
 def take(
     settings: Record,
     coefficients: Rows,
@@ -316,7 +316,7 @@ def _doubt(settings: Record, state: Record, sample: Record, out: Record) -> None
             out["attitude_sigma_rad"][i] = min(sigma, math.pi)
 
 
-@kernel
+@inlined_kernel
 def _move(
     settings: Record,
     state: Record,

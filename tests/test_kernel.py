@@ -1,5 +1,6 @@
 """The folder of compiled code follows every source that is compiled into it."""
 
+import math
 import os
 import shutil
 import subprocess
@@ -75,17 +76,19 @@ def test_every_kernel_source_has_its_say_and_no_other(copy):
     assert set(changed[len(compiled) :]) == {first}
 
 
-def test_a_changed_callee_is_never_served_stale(copy):
+@pytest.mark.parametrize("decorator", ["kernel", "inlined_kernel"])
+def test_a_changed_callee_is_never_served_stale(copy, decorator):
     head = "from ahrs_service.kernel import kernel\n"
     callee = copy.root / "fusion" / "callee.py"
-    callee.write_text(head + "@kernel\ndef inner(x):\n    return x + 1.0\n")
+    inner = f"from ahrs_service.kernel import {decorator}\n@{decorator}\ndef inner(x):\n"
+    callee.write_text(inner + "    return x + 1.0\n")
     (copy.root / "fusion" / "caller.py").write_text(
         head + "from ahrs_service.fusion.callee import inner\n"
         "@kernel\ndef outer(x):\n    return 10.0 * inner(x)\n"
     )
     script = STALE.format(caller="caller")
     assert copy(script) == ["20.0"]
-    callee.write_text(head + "@kernel\ndef inner(x):\n    return x + 2.0\n")
+    callee.write_text(inner + "    return x + 2.0\n")
     assert copy(script) == ["30.0"]
 
 
@@ -107,3 +110,21 @@ def test_a_kernel_is_strict_about_floats():
     # With fast-math the compiler might return x.
     assert forget(1.0, 1e17) == 0.0
     assert np.isnan(forget(np.nan, 1.0))
+
+
+def test_an_inlined_kernel_is_a_part_of_its_caller_and_what_it_calls_is_not(copy):
+    """Left to numba, a callee inherits from its caller that it is inlined."""
+    (copy.root / "fusion" / "nested.py").write_text(
+        "import math\n"
+        "from ahrs_service.kernel import inlined_kernel, kernel\n"
+        "@kernel\ndef inner(x):\n    return math.sin(x)\n"
+        "@inlined_kernel\ndef middle(x):\n    return inner(x)\n"
+        "@kernel\ndef outer(x):\n    return middle(x)\n"
+    )
+    script = "from ahrs_service.fusion.nested import inner, middle, outer\n"
+    script += "result = outer(0.5)\n"
+    script += "for function in (inner, middle, outer):\n"
+    script += "    (overload,) = function.overloads.values()\n"
+    script += "    print('alwaysinline' in overload.library.get_llvm_str())\n"
+    script += "print(result)"
+    assert copy(script) == ["False", "True", "False", str(math.sin(0.5))]

@@ -13,7 +13,7 @@ import numpy as np
 
 from ahrs_service.fusion import heading, mekf
 from ahrs_service.fusion.states import AIDED, ANGLE, ERROR_STATES, LAG, UNAIDED, VELOCITY, WIND
-from ahrs_service.kernel import kernel
+from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Airframe, Floats, Record
 
 HISTORY: Final = 32
@@ -164,7 +164,7 @@ def _velocity_at(state: Record, time_ns: int, out: Floats) -> bool:
     return False
 
 
-@kernel
+@inlined_kernel
 def correct_velocity(settings: Record, state: Record, airframe: int) -> None:
     """Correct by a new measurement of the velocity over ground.
 
@@ -308,7 +308,7 @@ def _turn_to(state: Record, angle_rad: float, sigma_rad: float) -> None:
     _begin(state, sigma_rad)
 
 
-@kernel
+@inlined_kernel
 def shift_history(state: Record) -> None:
     """Correct the remembered velocities as the present one."""
     for i in range(3):

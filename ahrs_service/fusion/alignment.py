@@ -16,7 +16,7 @@ from ahrs_service.fusion.states import (
     UNAIDED,
     VELOCITY,
 )
-from ahrs_service.kernel import kernel
+from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Floats, Record
 from ahrs_service.rotation import from_euler, matrix, to_euler
 
@@ -104,7 +104,7 @@ def start(settings: Record, state: Record, airframe: int) -> None:
     state["alignment_start_ns"] = state["time_ns"]
 
 
-@kernel
+@inlined_kernel
 def is_sound(state: Record) -> bool:
     """Return whether the state can be gone on with; where not, its wrecks are cleared away.
 
@@ -202,7 +202,7 @@ def _take_rest_bias(state: Record) -> None:
         mekf.forget(p, GYRO_BIAS + i, REST_BIAS_SIGMA_RAD_S**2)
 
 
-@kernel
+@inlined_kernel
 def bound_attitude(p: Floats, states: int) -> None:
     """Keep the attitude variances at what no knowledge at all means."""
     for axis in range(3):

@@ -13,7 +13,7 @@ import math
 from typing import Final
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.kernel import kernel
+from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Record
 
 SCALE_FIELDS: Final = [("force_scale", "f8"), ("force_scale_variance", "f8")]
@@ -52,7 +52,7 @@ def start(settings: Record, state: Record, airframe: int) -> None:
     state["force_scale_variance"] = _sigma(settings, airframe) ** 2
 
 
-@kernel
+@inlined_kernel
 def learn(settings: Record, state: Record, airframe: int, dt_s: float) -> None:
     """Correct the scale by the mean force of a quiet turn."""
     walk_rts = WALK_SHARE_RTS * _sigma(settings, airframe)

@@ -5,7 +5,7 @@ from typing import Final
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.fusion import gating, mekf
-from ahrs_service.kernel import kernel
+from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Flag, Floats, Gate, Phase, Record
 
 GRAVITY_FIELDS: Final = [
@@ -36,7 +36,7 @@ def _norm(v: Floats) -> float:
     return math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
 
 
-@kernel
+@inlined_kernel
 def judge(settings: Record, state: Record, airframe: int, dt_s: float, flags: int) -> None:
     """Judge the averaged force by the gates; reasons, metrics and innovation go into the state."""
     metrics, tilt, p = state["gate_metrics"], state["tilt_innovation_rad"], state["covariance"]

@@ -17,7 +17,7 @@ from typing import Final
 from ahrs_service.fusion import hard_iron
 from ahrs_service.fusion.mekf import correct_state, forget, turn_about_down, variance_of
 from ahrs_service.fusion.states import ANGLE
-from ahrs_service.kernel import kernel
+from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Floats, Record
 
 HEADING_FIELDS: Final = [
@@ -130,7 +130,7 @@ def sigma(state: Record) -> float:
     return math.sqrt(variance)
 
 
-@kernel
+@inlined_kernel
 def gather(state: Record, mag: Floats, dt_s: float) -> None:
     """Gather one field reading [3] [uT], NaN where there is none."""
     state["mag_s"] += dt_s
@@ -152,7 +152,7 @@ def correct(settings: Record, state: Record) -> None:
         begin_average(state)
 
 
-@kernel
+@inlined_kernel
 def _take_average(settings: Record, state: Record) -> None:
     """Judge the field averaged over the turn and correct the heading by its azimuth."""
     share, dt_s = 1.0 / state["mag_count"], min(state["mag_s"], CORRELATION_S)

@@ -21,7 +21,7 @@ from ahrs_service.fusion.states import (
     VELOCITY,
     WIND,
 )
-from ahrs_service.kernel import kernel
+from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Floats, Record
 from ahrs_service.rotation import from_rotation_vector, matrix, multiply, normalise
 
@@ -38,7 +38,7 @@ measurement h . x, which comes and goes zero, gains whose products the covarianc
 as many as are `pending`, zeros else, and room to work in."""
 
 
-@kernel
+@inlined_kernel
 def propagate(
     p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats, turned: Floats
 ) -> None:
@@ -73,7 +73,7 @@ def propagate(
                 p[j, row] = p[row, j]
 
 
-@kernel
+@inlined_kernel
 def turn_rows(
     p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats, turned: Floats
 ) -> None:
@@ -89,7 +89,7 @@ def turn_rows(
 # take several columns at once.
 
 
-@kernel
+@inlined_kernel
 def _turn_velocity_rows(p: Floats, rotation_s: Floats, impulse: Floats, turned: Floats) -> None:
     v, w = VELOCITY, ACCEL_BIAS
     for i in range(3):
@@ -105,7 +105,7 @@ def _turn_velocity_rows(p: Floats, rotation_s: Floats, impulse: Floats, turned: 
             p[v + i, j] += turned[i, j]
 
 
-@kernel
+@inlined_kernel
 def _turn_angle_rows(p: Floats, rotation_s: Floats, rate: Floats, turned: Floats) -> None:
     a, b, c = rate[0], rate[1], rate[2]
     for i in range(3):
@@ -118,7 +118,7 @@ def _turn_angle_rows(p: Floats, rotation_s: Floats, rate: Floats, turned: Floats
             p[i, j] -= a * turned[0, j] + b * turned[1, j] + c * turned[2, j]
 
 
-@kernel
+@inlined_kernel
 def _turn_gated_rows(p: Floats, rotation_s: Floats, turned: Floats) -> None:
     for i in range(3):
         for j in range(GATED):
@@ -129,7 +129,7 @@ def _turn_gated_rows(p: Floats, rotation_s: Floats, turned: Floats) -> None:
             p[i, j] -= a * turned[0, j] + b * turned[1, j] + c * turned[2, j]
 
 
-@kernel
+@inlined_kernel
 def _turn_velocity_of_row(p: Floats, n: int, rotation_s: Floats, impulse: Floats) -> None:
     """Apply the transition to the velocity in row `n`, by its angle before."""
     x, y, z = p[n, 0], p[n, 1], p[n, 2]
@@ -145,7 +145,7 @@ def _turn_velocity_of_row(p: Floats, n: int, rotation_s: Floats, impulse: Floats
     )
 
 
-@kernel
+@inlined_kernel
 def _turn_angle_of_row(p: Floats, n: int, states: int, rotation_s: Floats, rate: Floats) -> None:
     """Apply the transition to the angle in row `n`."""
     a, b, c = p[n, GYRO_BIAS], p[n, GYRO_BIAS + 1], p[n, GYRO_BIAS + 2]
@@ -296,7 +296,7 @@ def correct_tilt(state: Record, axis: int, variance: float) -> None:
     h[ACCEL_BIAS] = h[ACCEL_BIAS + 1] = h[ACCEL_BIAS + 2] = 0.0
 
 
-@kernel
+@inlined_kernel
 def apply_correction(state: Record) -> None:
     """Move the correction into the state; the averaged force turns with the attitude."""
     correction = state["correction"]

@@ -19,7 +19,7 @@ from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.fusion import aiding
 from ahrs_service.fusion.mekf import correct, correct_state
 from ahrs_service.fusion.states import ACCEL_BIAS, AIDED, VELOCITY, WIND
-from ahrs_service.kernel import kernel
+from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Airframe, Record
 
 MOTION_FIELDS: Final = [
@@ -67,7 +67,7 @@ def _airspeed_is_usable(settings: Record, state: Record, airframe: int) -> bool:
     return flown and airspeed_is_fresh(state) and state["airspeed_m_s"] > AIRSPEED_MIN_M_S
 
 
-@kernel
+@inlined_kernel
 def bound_velocity(settings: Record, state: Record, airframe: int, dt_s: float) -> None:
     """Measure the velocity through the air by what the airframe can do, or by airspeed.
 
@@ -103,7 +103,7 @@ def bound_velocity(settings: Record, state: Record, airframe: int, dt_s: float) 
     correct_state(state, VELOCITY + 2, -state["velocity_ned_m_s"][2], variance)
 
 
-@kernel
+@inlined_kernel
 def _correct_along(state: Record, i: int, expected: float, variance: float) -> None:
     """Measure the velocity through the air along body axis `i`."""
     velocity, wind, dcm = state["velocity_ned_m_s"], state["wind_ned_m_s"], state["dcm"]

@@ -3,7 +3,7 @@
 from typing import Final
 
 from ahrs_service.fusion import timebase
-from ahrs_service.kernel import kernel
+from ahrs_service.kernel import inlined_kernel
 from ahrs_service.records import Flag, Floats, Record
 
 _NOT_FINITE = int(Flag.NOT_FINITE)
@@ -28,12 +28,13 @@ PLAUSIBILITY_FIELDS: Final = [
     ("raw_before_rad_s", "f8", 3),
     ("repeats", "i8", 3),
     ("gyro_is_blind", "i8", 3),
+    ("blind_s", "f8", 3),
 ]
 """Fields of the pipeline's state that this module keeps; the last: how often each axis of the gyro
-showed the number before again, and whether it clips or is stuck."""
+showed the number before again, whether it clips or is stuck, and for how long it was [s]."""
 
 
-@kernel
+@inlined_kernel
 def _find_blind(state: Record, raw: Floats, range_rad_s: float) -> bool:
     """Find axes of the gyro that clip, or stood still while the vehicle turned; whether any is."""
     before, repeats, blind = state["raw_before_rad_s"], state["repeats"], state["gyro_is_blind"]
@@ -49,11 +50,13 @@ def _find_blind(state: Record, raw: Floats, range_rad_s: float) -> bool:
         # Exactly 0 is an axis of a simulation that nothing turns about.
         stuck = turns and repeats[i] >= STUCK_SAMPLES and raw[i] != 0.0
         blind[i] = 1 if stuck or abs(raw[i]) >= range_rad_s else 0
+        if blind[i] == 0:
+            state["blind_s"][i] = 0.0
         found = found or blind[i] != 0
     return found
 
 
-@kernel
+@inlined_kernel
 def check(settings: Record, state: Record, sample: Record, gyro: Floats, accel: Floats) -> int:
     """Find clipped, stuck, missing and impossible values; a single impossible rate is held back."""
     flags = 0

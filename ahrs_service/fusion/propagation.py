@@ -19,7 +19,7 @@ from ahrs_service.fusion.states import (
     VELOCITY,
     WIND,
 )
-from ahrs_service.kernel import kernel
+from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Flag, Floats, Record
 from ahrs_service.rotation import matrix
 
@@ -31,6 +31,7 @@ PROPAGATION_FIELDS: Final = [
     ("turn_force_m_s", "f8", 3),
     ("turn_force_s", "f8"),
     ("turn_angle_variance", "f8"),
+    ("turn_shake_variance", "f8"),
     ("turn_velocity_variance", "f8"),
     ("turn_bias_variance", "f8"),
     ("turn_degc", "f8"),
@@ -40,7 +41,6 @@ PROPAGATION_FIELDS: Final = [
     ("force_now_ned_m_s2", "f8", 3),
     ("arc_force_m_s2", "f8", 3),
     ("interval_before_s", "f8"),
-    ("blind_s", "f8", 3),
     ("turn_blind_variance", "f8", 3),
     ("applied", "f8", ERROR_STATES),
     ("turned_rad", "f8"),
@@ -69,9 +69,10 @@ ACCEL_BIAS_WALK: Final = 1e-3
 
 _GAP = int(Flag.GAP)
 _ACCEL_MISSING = int(Flag.ACCEL_MISSING)
+_SATURATED = int(Flag.SATURATED)
 
 
-@kernel
+@inlined_kernel
 def move(
     settings: Record,
     state: Record,
@@ -90,17 +91,19 @@ def move(
     earlier, dcm = state["rate_earlier_rad_s"], state["dcm"]
     unknown2, rate2 = _take_rate(state, gyro, dt_s)
     state["turn_angle_variance"] += settings["gyro_scale_error_rts"] ** 2 * rate2 * dt_s
+    before_s, turned_s = state["interval_before_s"], dt_s
+    is_mean = settings["samples_are_means"] != 0
+    state["interval_before_s"] = dt_s
     if flags & _GAP:
         state["turn_angle_variance"] += (GAP_RATE_SIGMA_RAD_S * dt_s) ** 2
-        state["interval_before_s"] = 0.0
-        known_s = 2.0 * RATE_CORRELATION_S * math.tanh(0.5 * dt_s / RATE_CORRELATION_S)
-        strapdown.rotate(state["ned_from_body"], before, before, rate, 0.0, known_s, False)
+        before_s = state["interval_before_s"] = 0.0
+        is_mean = False
+        turned_s = 2.0 * RATE_CORRELATION_S * math.tanh(0.5 * dt_s / RATE_CORRELATION_S)
     else:
-        state["turn_angle_variance"] += unknown2 * dt_s * dt_s
-        before_s, is_mean = state["interval_before_s"], settings["samples_are_means"] != 0
-        state["interval_before_s"] = dt_s
-        strapdown.rotate(state["ned_from_body"], earlier, before, rate, before_s, dt_s, is_mean)
-    _count_blind(state, dt_s)
+        state["turn_shake_variance"] += unknown2 * dt_s * dt_s
+    strapdown.rotate(state["ned_from_body"], earlier, before, rate, before_s, turned_s, is_mean)
+    if flags & _SATURATED:
+        _count_blind(state, dt_s)
     pull_per_s = 1.0 / (settings["smoothing_s"] + dt_s)
     _smooth_rate(state, rate, pull_per_s, dt_s)
     matrix(state["ned_from_body"], dcm)
@@ -120,16 +123,14 @@ def move(
 def _count_blind(state: Record, dt_s: float) -> None:
     """Widen the angle about an axis whose rate is not known, and stays so: by time squared."""
     for i in range(3):
-        if state["gyro_is_blind"][i] == 0:
-            state["blind_s"][i] = 0.0
-            continue
         before_s = state["blind_s"][i]
-        state["blind_s"][i] = before_s + dt_s
-        grown_s2 = dt_s * (2.0 * before_s + dt_s)
-        state["turn_blind_variance"][i] += GAP_RATE_SIGMA_RAD_S**2 * grown_s2
+        if state["gyro_is_blind"][i] != 0:
+            state["blind_s"][i] = before_s + dt_s
+            grown_s2 = dt_s * (2.0 * before_s + dt_s)
+            state["turn_blind_variance"][i] += GAP_RATE_SIGMA_RAD_S**2 * grown_s2
 
 
-@kernel
+@inlined_kernel
 def _take_rate(state: Record, gyro: Floats, dt_s: float) -> tuple[float, float]:
     """Correct the rate; return the variance of the rate between this and the last, and its square.
 
@@ -173,7 +174,7 @@ def _average_force(state: Record, accel: Floats, weight: float) -> float:
     return norm2
 
 
-@kernel
+@inlined_kernel
 def _move_velocity(
     settings: Record, state: Record, airframe: int, accel: Floats, dt_s: float, norm2: float
 ) -> None:
@@ -219,7 +220,7 @@ def _follow_arc(state: Record, accel: Floats, dt_s: float, arc: Floats) -> None:
         before[i] = accel[i]
 
 
-@kernel
+@inlined_kernel
 def grow(settings: Record, state: Record, degc: float, is_compensated: bool) -> None:
     """Propagate the covariance over the turn.
 
@@ -235,7 +236,9 @@ def grow(settings: Record, state: Record, degc: float, is_compensated: bool) -> 
         rate[i] /= turn_s
     rotation_s, impulse = state["turn_rotation_s"], state["turn_impulse_m_s"]
     mekf.propagate(p, states, rotation_s, rate, impulse, state["turned_rows"])
-    angle = settings["gyro_noise_rad_s_rthz"] ** 2 * turn_s + state["turn_angle_variance"]
+    # The shake that was seen has the gyro's noise in it.
+    noise = max(settings["gyro_noise_rad_s_rthz"] ** 2 * turn_s, state["turn_shake_variance"])
+    angle = noise + state["turn_angle_variance"]
     bias = settings["gyro_bias_walk_rad_s2_rthz"] ** 2 * turn_s + state["turn_bias_variance"]
     per_rtdegc = settings["gyro_bias_per_rtdegc_rad_s"]
     if is_compensated:
@@ -271,7 +274,7 @@ def _warmed(state: Record, degc: float) -> float:
 def begin_turn(state: Record) -> None:
     """Set the turn's integrals to zero."""
     state["turn_s"] = 0.0
-    state["turn_angle_variance"] = 0.0
+    state["turn_angle_variance"] = state["turn_shake_variance"] = 0.0
     state["turn_velocity_variance"] = 0.0
     state["turn_bias_variance"] = 0.0
     state["turn_force_s"] = 0.0

@@ -7,7 +7,7 @@ from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.fusion import aiding, mekf
 from ahrs_service.fusion.motion import airspeed_is_fresh
 from ahrs_service.fusion.states import AIDED, GYRO_BIAS, VELOCITY
-from ahrs_service.kernel import kernel
+from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Floats, Record
 
 REST_FIELDS: Final = [
@@ -32,6 +32,8 @@ MOVING_AIRSPEED_M_S: Final = 6.0
 MOVING_SPEED_M_S: Final = 2.0
 """And the noise of a velocity by satellites below this [m/s]."""
 MOVING_SIGMA: Final = 3.0
+BRAKING_M_S2: Final = 0.1
+"""What an accelerometer and a floor may show of a tilt that was not there in motion [m/s^2]."""
 STILL_S: Final = 20.0
 """Nothing flies so long without a shake, whatever velocity is thought [s]."""
 VELOCITY_SIGMA_M_S: Final = 0.1
@@ -57,7 +59,7 @@ def start(state: Record, accel: Floats) -> None:
     state["force_variance"] = START_DOUBT_M2_S4
 
 
-@kernel
+@inlined_kernel
 def follow(state: Record, gyro: Floats, accel: Floats, dt_s: float, rate_sigma: float) -> None:
     """Follow mean and variance of rate and force; `rest_s` is how long all were those of rest."""
     weight = dt_s / (AVERAGE_S + dt_s)
@@ -80,7 +82,7 @@ def follow(state: Record, gyro: Floats, accel: Floats, dt_s: float, rate_sigma: 
     state["rest_s"] = state["rest_s"] + dt_s if still else 0.0
 
 
-@kernel
+@inlined_kernel
 def come_to_rest(state: Record) -> bool:
     """Return whether the vehicle is at rest; a change of that brings the wind into the velocity.
 
@@ -106,6 +108,10 @@ def _moves(state: Record) -> bool:
             return True
     if state["rest_s"] > STILL_S:
         return False
+    tilt, force_sigma = state["tilt_innovation_rad"], BRAKING_M_S2 / STANDARD_GRAVITY_M_S2
+    variance = mekf.tilt_variance(state["covariance"]) + force_sigma * force_sigma
+    if tilt[0] * tilt[0] + tilt[1] * tilt[1] > MOVING_SIGMA * MOVING_SIGMA * variance:
+        return True
     for i in range(3):
         velocity = state["velocity_ned_m_s"][i]
         variance = state["covariance"][VELOCITY + i, VELOCITY + i]

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from ahrs_service.kernel import kernel
+from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Floats
 from ahrs_service.rotation import from_rotation_vector, keep_normal, multiply
 
@@ -11,7 +11,7 @@ THIRTIETH: Final = 1.0 / 30.0
 """A product is several times as fast as a division."""
 
 
-@kernel
+@inlined_kernel
 def rotate(
     q: Floats,
     rate_earlier: Floats,

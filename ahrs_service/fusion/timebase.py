@@ -5,7 +5,7 @@ Time is data: nothing here reads a clock, so a replay sees what the live service
 
 from typing import Final
 
-from ahrs_service.kernel import kernel
+from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Flag, Record
 
 TIME_FIELDS: Final = [
@@ -94,7 +94,7 @@ def _jump(
     return (receipt_s if receipt_s > 0.0 else UNKNOWN_GAP_S), _CLOCK_JUMP | _GAP
 
 
-@kernel
+@inlined_kernel
 def advance(state: Record, time_ns: int, received_ns: int, gap_s: float) -> tuple[float, int]:
     """Take the stamp of a sample; return the step [s] and what was found (records.Flag).
 

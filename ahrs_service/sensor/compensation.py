@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.kernel import kernel
+from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Flag, Floats, Record, Rows
 from ahrs_service.sensor.thermometer import acting_columns, forget_temperature, read_thermometer
 
@@ -160,7 +160,7 @@ def compensate(
     return _OUT_OF_RANGE if is_out else 0
 
 
-@kernel
+@inlined_kernel
 def compensate_sample(coefficients: Rows, state: Record, sample: Record) -> int:
     """Write `gyro_rad_s` and `accel_m_s2` of the state from a sample; return the sample's flags.
 
