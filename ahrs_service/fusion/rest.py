@@ -32,6 +32,8 @@ MOVING_AIRSPEED_M_S: Final = 6.0
 MOVING_SPEED_M_S: Final = 2.0
 """And the noise of a velocity by satellites below this [m/s]."""
 MOVING_SIGMA: Final = 3.0
+BRAKING_M_S2: Final = 0.1
+"""What an accelerometer and a floor may show of a tilt that was not there in motion [m/s^2]."""
 STILL_S: Final = 20.0
 """Nothing flies so long without a shake, whatever velocity is thought [s]."""
 VELOCITY_SIGMA_M_S: Final = 0.1
@@ -106,6 +108,10 @@ def _moves(state: Record) -> bool:
             return True
     if state["rest_s"] > STILL_S:
         return False
+    tilt, force_sigma = state["tilt_innovation_rad"], BRAKING_M_S2 / STANDARD_GRAVITY_M_S2
+    variance = mekf.tilt_variance(state["covariance"]) + force_sigma * force_sigma
+    if tilt[0] * tilt[0] + tilt[1] * tilt[1] > MOVING_SIGMA * MOVING_SIGMA * variance:
+        return True
     for i in range(3):
         velocity = state["velocity_ned_m_s"][i]
         variance = state["covariance"][VELOCITY + i, VELOCITY + i]

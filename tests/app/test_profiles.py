@@ -38,10 +38,13 @@ def test_the_class_that_a_heartbeat_chooses_has_the_numbers_of_the_profile(name)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_profile_leaves_what_is_not_about_motion_to_the_service(name):
+def test_a_profile_leaves_what_is_not_about_motion_or_its_sensor_to_the_service(name):
     settings, default = load(profile=name), Settings()
     fusion = dataclasses.replace(
-        settings.fusion, airframe="auto", gyro_sample=FusionSettings().gyro_sample
+        settings.fusion,
+        airframe="auto",
+        gyro_sample=FusionSettings().gyro_sample,
+        gyro_scale_error_rts=FusionSettings().gyro_scale_error_rts,
     )
     airframe = CLASSES.get(name, name)
     changed = {"gate_budget": default.gate_budget, airframe: getattr(default, airframe)}

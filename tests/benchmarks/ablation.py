@@ -35,7 +35,10 @@ FLIGHTS = (
     *("quad106", "copter pixhawk", "log0036", "sitl"),
 )
 CLASSES = ("fixed_wing", "multirotor", "hand_held")
-HAND_HELD = ["fusion.airframe=hand_held", "fusion.gyro_sample=mean", "fusion.magnetometer=false"]
+HAND_HELD = [
+    *("fusion.airframe=hand_held", "fusion.gyro_sample=mean", "fusion.magnetometer=false"),
+    "fusion.gyro_scale_error_rts=0.0005",
+]
 
 
 def _in_all(setting: str) -> list[str]:

@@ -1,16 +1,14 @@
-"""The GPS smoother on a recording: an attitude to judge by, and where it may be believed.
-
-Its samples' times are those of the GPS's clock, where the log tells it: an autopilot's may be slow
-(plane erle's by 8.3 %, and every gyro that is integrated by it turns as much too little).
-"""
+"""The GPS smoother on a recording: an attitude to judge by, and where it may be believed."""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from flight_recordings import Flight
 from gps_smoother import LAG, GpsSmoother, Smoothed
 from gps_velocity import GpsVelocity
 from peers import Floats
+from tilt_witness import carried
 
 from ahrs_service.records import Integers, Rows
 
@@ -51,7 +49,7 @@ def gps_reference(
 ) -> GpsReference:
     """Smooth samples [N] at rising `time_ns` from a first guess `start` [N, 4] on."""
     origin = time_ns[0]
-    t_s, fix_s = ((one - origin) * 1e-9 * gps.clock for one in (time_ns, gps.time_ns))
+    t_s, fix_s = ((one - origin) * 1e-9 for one in (time_ns, gps.time_ns))
     height = np.where(np.isnan(gps.ned_m_s[:, 2]), gps.height_m, np.nan)
     fix = np.concatenate([gps.ned_m_s, height[:, None]], axis=1)
     first = GpsSmoother(t_s, gyro, force, fix_s, fix, USUAL_LAG_S)
@@ -66,3 +64,17 @@ def gps_reference(
     return GpsReference(
         t_s, smoother.attitude(one), sigma, near & (sigma < SURE_RAD), smoother, one, lag_s
     )
+
+
+def smoothed(flight: Flight, gps: GpsVelocity) -> tuple[GpsReference, Floats]:
+    """Return the GPS's reference at the usable samples, and the flight's own attitude [N, 4] there.
+
+    That is where the smoother begins.
+    """
+    samples, reference = flight.samples[usable(flight.samples)], flight.reference
+    stamps, gyro = samples["time_ns"], samples["gyro_rad_s"]
+    t_s, at_s = ((one - stamps[0]) * 1e-9 for one in (stamps, reference.time_ns))
+    order = np.argsort(at_s, kind="stable")
+    order = order[np.concatenate([[True], np.diff(at_s[order]) > 0.0])]
+    start = carried(t_s, gyro, at_s[order], reference.ned_from_body[order])
+    return gps_reference(stamps, gyro, samples["accel_m_s2"], start, gps), start

@@ -26,10 +26,11 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from peers import G0, Floats
 from scipy.spatial.transform import Rotation
 from tilt_witness import carried, interpolated
 
+from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.records import Floats
 from ahrs_service.rotation import rotate_columns
 
 PHI, VEL, HEIGHT, GYRO, FORCE = 0, 3, 6, 7, 10
@@ -110,9 +111,9 @@ def _between(
         middle = r @ half
         r = middle @ half
         pushed = middle @ a
-        h -= (v[2] + 0.5 * (pushed[2] + G0) * dt[n]) * dt[n]
+        h -= (v[2] + 0.5 * (pushed[2] + STANDARD_GRAVITY_M_S2) * dt[n]) * dt[n]
         v += pushed * dt[n]
-        v[2] += G0 * dt[n]
+        v[2] += STANDARD_GRAVITY_M_S2 * dt[n]
         total += dt[n]
         change = np.zeros((3, 12))
         for i in range(3):

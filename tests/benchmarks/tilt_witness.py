@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from gps_velocity import GpsVelocity
 from numba import njit
-from peers import Floats
 
+from ahrs_service.records import Floats
 from ahrs_service.rotation import inverse_columns, multiply_columns, rotate_columns
 
 WINDOW_S = 0.5
