@@ -300,7 +300,20 @@ def take(
             flags = _realign_if_lost(settings, state, sample, dt_s, flags)
             _move(settings, state, sample, gyro, accel, dt_s, flags, nodes)
     _write_estimate(state, sample, accel, flags, out)
+    if found & _NOT_FINITE:
+        _doubt(settings, state, sample, out)
     _write_gate(state, out)
+
+
+@kernel
+def _doubt(settings: Record, state: Record, sample: Record, out: Record) -> None:
+    """Widen the sigma of an attitude that stands still for want of a rate."""
+    since_s = (sample["time_ns"] - state["time_ns"]) * 1e-9
+    if since_s > settings["gap_s"]:
+        turned = propagation.GAP_RATE_SIGMA_RAD_S * since_s
+        for i in range(3):
+            sigma = math.hypot(out["attitude_sigma_rad"][i], turned)
+            out["attitude_sigma_rad"][i] = min(sigma, math.pi)
 
 
 @inlined_kernel

@@ -68,7 +68,7 @@ def read_dataflash(path: str | Path, progress: Callable[[float], None] | None = 
     heartbeat = _rows(readings["time_ns"][:1], Kind.HEARTBEAT)
     heartbeat["autopilot"] = _AUTOPILOT_ARDUPILOT
     heartbeat["vehicle"] = _vehicle(log)
-    rate = _clock_rate(log)
+    rate = clock_rate_of(log)
     readings = np.concatenate([heartbeat, readings])
     for field in ("time_ns", "received_ns"):
         readings[field] = at_rate(readings[field], rate)
@@ -90,7 +90,7 @@ def at_rate(time_ns: Integers, rate: float) -> Integers:
     return time_ns if rate == 1.0 else np.rint(time_ns * rate).astype(np.int64)
 
 
-def _clock_rate(log: DataFlashFile) -> float:
+def clock_rate_of(log: DataFlashFile) -> float:
     """Seconds of the satellites in one of the autopilot's, by the fixes of the first receiver."""
     for own, satellites in _SATELLITE_CLOCKS:
         table = _table(log, "GPS", ("Status", satellites), (own,))

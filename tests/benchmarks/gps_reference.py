@@ -1,8 +1,4 @@
-"""The GPS smoother on a recording: an attitude to judge by, and where it may be believed.
-
-Its samples' times are those of the GPS's clock, where the log tells it: an autopilot's may be slow
-(plane erle's by 8.3 %, and every gyro that is integrated by it turns as much too little).
-"""
+"""The GPS smoother on a recording: an attitude to judge by, and where it may be believed."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -53,7 +49,7 @@ def gps_reference(
 ) -> GpsReference:
     """Smooth samples [N] at rising `time_ns` from a first guess `start` [N, 4] on."""
     origin = time_ns[0]
-    t_s, fix_s = ((one - origin) * 1e-9 * gps.clock for one in (time_ns, gps.time_ns))
+    t_s, fix_s = ((one - origin) * 1e-9 for one in (time_ns, gps.time_ns))
     height = np.where(np.isnan(gps.ned_m_s[:, 2]), gps.height_m, np.nan)
     fix = np.concatenate([gps.ned_m_s, height[:, None]], axis=1)
     first = GpsSmoother(t_s, gyro, force, fix_s, fix, USUAL_LAG_S)

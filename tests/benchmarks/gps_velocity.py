@@ -13,6 +13,7 @@ import numpy.typing as npt
 from pyulog import ULog
 
 from ahrs_service.records import Kind, Rows
+from links.dataflash import at_rate, clock_rate_of
 from links.dataflash_tables import read_tables
 from links.tlog import read_tlog
 
@@ -20,7 +21,6 @@ UNKNOWN = 0xFFFF
 LEAST_FIX = 3
 """A three-dimensional fix."""
 LEAST_COUNT = 50
-CLOCK_FIXES = 100
 SPEED_LIMIT_M_S = 100.0
 COURSE_SPEED_M_S = 5.0
 """Faster than this the positions tell the course."""
@@ -30,14 +30,12 @@ COURSE_SPEED_M_S = 5.0
 class GpsVelocity:
     """`time_ns` [N] on the clock of the IMU, rising; `ned_m_s` [N, 3], down NaN if not measured.
 
-    `height_m` [N] above the sea, NaN where it is not known. `clock` is how many seconds of the
-    receiver pass in one of the autopilot, 1 where the log does not tell the receiver's time.
+    `height_m` [N] above the sea, NaN where it is not known.
     """
 
     time_ns: npt.NDArray[np.int64]
     ned_m_s: npt.NDArray[np.float64]
     height_m: npt.NDArray[np.float64]
-    clock: float = 1.0
 
 
 def gps_velocity(path: Path, readings: Rows) -> GpsVelocity | None:
@@ -46,7 +44,7 @@ def gps_velocity(path: Path, readings: Rows) -> GpsVelocity | None:
     found = read(path, readings[readings["kind"] == Kind.IMU])
     if found is None:
         return None
-    time_ns, ned, height_m, clock = found
+    time_ns, ned, height_m = found
     good = np.isfinite(ned[:, :2]).all(axis=1) & (np.abs(ned[:, :2]) < SPEED_LIMIT_M_S).all(axis=1)
     newest = np.maximum.accumulate(time_ns)
     good[1:] &= time_ns[1:] > newest[:-1]
@@ -54,7 +52,7 @@ def gps_velocity(path: Path, readings: Rows) -> GpsVelocity | None:
     good[1:] &= (ned[1:, :2] != ned[:-1, :2]).any(axis=1)
     if good.sum() < LEAST_COUNT:
         return None
-    return GpsVelocity(time_ns[good], ned[good], height_m[good], clock)
+    return GpsVelocity(time_ns[good], ned[good], height_m[good])
 
 
 def _ned(speed: Any, course_deg: Any, down: Any) -> npt.NDArray[np.float64]:
@@ -63,7 +61,7 @@ def _ned(speed: Any, course_deg: Any, down: Any) -> npt.NDArray[np.float64]:
     return np.stack([speed * np.cos(course), speed * np.sin(course), down], axis=1)
 
 
-def _of_tlog(path: Path, imu: Rows) -> tuple[Any, Any, Any, float] | None:
+def _of_tlog(path: Path, imu: Rows) -> tuple[Any, Any, Any] | None:
     tlog = read_tlog(path)
     vehicle = (int(imu["system"][0]), int(imu["component"][0]))
     table = tlog.tables.get((*vehicle, "GPS_RAW_INT"))
@@ -79,7 +77,7 @@ def _of_tlog(path: Path, imu: Rows) -> tuple[Any, Any, Any, float] | None:
         lead_ns = np.median(imu["time_ns"] - imu["received_ns"])
         time_ns = table["received_us"].astype(np.int64) * 1000 + int(lead_ns)
     ned = _ned(1e-2 * table["vel"], _course_deg(time_ns, table), np.nan)
-    return time_ns, ned, 1e-3 * table["alt"], 1.0
+    return time_ns, ned, 1e-3 * table["alt"]
 
 
 def _course_deg(time_ns: Any, table: Rows) -> Any:
@@ -97,7 +95,7 @@ def _course_deg(time_ns: Any, table: Rows) -> Any:
     return max((raw, np.degrees(raw)), key=agreement)
 
 
-def _of_dataflash(path: Path, imu: Rows) -> tuple[Any, Any, Any, float] | None:
+def _of_dataflash(path: Path, imu: Rows) -> tuple[Any, Any, Any] | None:
     log = read_tables(path)
     table = log.table("GPS") if "GPS" in log.counts() else ()
     if not len(table):
@@ -108,17 +106,10 @@ def _of_dataflash(path: Path, imu: Rows) -> tuple[Any, Any, Any, float] | None:
     time_ns = table["T" if old else "TimeUS"].astype(np.int64) * (1_000_000 if old else 1000)
     names = ("Spd", "GCrs", "VZ", "Alt")
     speed, course, down, height_m = (log.column(table, "GPS", name) for name in names)
-    receiver_ms = table["TimeMS" if old else "GMS"].astype(np.float64)
-    return time_ns, _ned(speed, course, down), height_m, _clock(time_ns, receiver_ms)
+    return at_rate(time_ns, clock_rate_of(log)), _ned(speed, course, down), height_m
 
 
-def _clock(time_ns: Any, receiver_ms: Any) -> float:
-    """Seconds of the receiver in one of the autopilot: the median over spans of CLOCK_FIXES."""
-    passed = np.diff(receiver_ms[::CLOCK_FIXES]) * 1e-3, np.diff(time_ns[::CLOCK_FIXES]) * 1e-9
-    return float(np.median(passed[0] / passed[1])) if len(time_ns) > CLOCK_FIXES else 1.0
-
-
-def _of_ulog(path: Path, imu: Rows) -> tuple[Any, Any, Any, float] | None:
+def _of_ulog(path: Path, imu: Rows) -> tuple[Any, Any, Any] | None:
     names = ("vehicle_gps_position", "sensor_gps")
     for table in ULog(str(path), list(names)).data_list:
         data = table.data
@@ -126,5 +117,5 @@ def _of_ulog(path: Path, imu: Rows) -> tuple[Any, Any, Any, float] | None:
         ned = np.stack([data[f"vel_{axis}_m_s"] for axis in "ned"], axis=1).astype(np.float64)
         if fixed.any():
             time_ns = data["timestamp"][fixed].astype(np.int64) * 1000
-            return time_ns, ned[fixed], np.full(len(time_ns), np.nan), 1.0
+            return time_ns, ned[fixed], np.full(len(time_ns), np.nan)
     return None
