@@ -173,7 +173,7 @@ class AirframeSettings:
 
 
 FIXED_WING = AirframeSettings(
-    forward_speed_m_s=12.0,
+    forward_speed_m_s=15.0,
     velocity_sigma_m_s=(6.0, 1.5, 0.75),
     velocity_correlation_s=(60.0, 2.0, 2.0),
     drag_s=(0.0, 1.5, 0.2),
