@@ -328,18 +328,18 @@ def _move(
     nodes: Rows | None,
 ) -> None:
     """Take one good sample: integrate, and at the end of a turn correct."""
+    airframe = _airframe(settings, sample)
     motion.hear_airspeed(state, sample)
     if settings["use_ground_velocity"] != 0:
         aiding.hear_velocity(state, sample)
     if state["aligned_samples"] == 0:
         if flags & _ACCEL_MISSING == 0:
-            alignment.first_attitude(state, gyro, accel)
+            alignment.first_attitude(settings, state, airframe, gyro, accel)
             heading.first_heading(settings, state, sample["mag_ut"])
             _summarise(state)
         return
     if dt_s <= 0.0:
         return
-    airframe = _airframe(settings, sample)
     for i in range(3):
         accel[i] = accel[i] * state["force_scale"] - state["accel_bias_m_s2"][i]
     propagation.move(settings, state, airframe, gyro, accel, dt_s, flags)
@@ -356,9 +356,7 @@ def _move(
             _begin(settings, state, airframe)
             return
         heading.seek(settings, state, aiding.is_fresh(state))
-    if state["phase"] == _ALIGNING and alignment.gather(
-        state, gyro, accel, settings["alignment_s"]
-    ):
+    if state["phase"] == _ALIGNING and alignment.gather(settings, state, airframe, gyro, accel):
         state["phase"] = _RUNNING
         _summarise(state)
 
