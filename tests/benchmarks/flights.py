@@ -10,7 +10,8 @@ sees gyro and accelerometer only, as the peers do; "ours aided" also the airspee
 over ground that the log has. All get the IMU in the vehicle's axes, by AHRS_TRIM. Ours runs with
 the profile of the vehicle's class (configs/airframes), as its HEARTBEAT says it. The error
 is against the autopilot's own attitude (ahrs_service.comparison has the rules), which is another
-estimate, not the truth (reference_witness.py judges it); for sitl it is the simulator's truth.
+estimate, not the truth (second_reference.py and own_error.py judge all by the GPS); for sitl it is
+the simulator's truth.
 
 The first flight, with --contract every one, also goes through `ahrs-service estimate` as a process:
 its bytes must be those of the function that the command calls, and its errors stand in a table of

@@ -23,7 +23,8 @@ are averaged. "Ours aided" knows the GPS: its n is not free.
 In brackets the 95 % interval, a bootstrap over blocks of 10 s, for the share of ours with the same
 draws. Simulated flights show that it holds: there the truth is known, the GPS has white and slow
 noise and a lag, and a third of the error of Mahony's filter, which is what a DCM is, plays the
-autopilot's. "smoother" is by how much S errs there when it has heard every fix.
+autopilot's: its share of ours is far from the true one, that of the GPS is not. "smoother" is by
+how much S errs there when it has heard every fix.
 """
 
 import argparse
@@ -247,7 +248,8 @@ def flown(flight: Flight, gps: GpsVelocity, names: list[str]) -> Own:
         running = rows["phase"][good] == Phase.RUNNING
     if truth is not None:
         attitudes["autopilot"] = doubtful(attitudes[DOUBTFUL], truth)
-    if not np.isfinite(flight.samples["velocity_ned_m_s"]).any():
+    aids = ("velocity_ned_m_s", "airspeed_m_s")
+    if not any(np.isfinite(flight.samples[aid]).any() for aid in aids):
         del attitudes["ours aided"]
     stamps, at_ns = flight.samples["time_ns"][good], flight.reference.time_ns
     running &= (stamps > at_ns.min()) & (stamps < at_ns.max())

@@ -8,13 +8,12 @@ is in ours and in the peer's error alike and drives their ratio to 1. Here each 
 - "GPS": the smoother of gps_smoother.py, which no filter here shares anything with but the IMU. Its
   own 1-sigma of tilt is printed, and over how much of the flight it is below 1 deg and near a fix.
   By how much it errs show sitl, whose "autopilot" is the truth, and thor75, whose autopilot has a
-  good INS/GPS filter. In brackets ours / best with the gyro taken for a third, and for three times
-  as noisy: what the smoother's own settings decide.
+  good INS/GPS filter. In brackets least and largest ours / best with gyro or force taken for a
+  third, or for three times as noisy: what the smoother's own settings decide.
 - The ArduPilot logs of 2014 hold AHR2, the attitude of the EKF beside the DCM that was flown by
   (EKF1 is the same from the first sample on). It takes the GPS velocity too.
 
-The best peer is the best against that reference. Plane erle's clock is 8.3 % slow, which the reader
-of the log mends for all of ours and the peers; its autopilot flew by it and turned too little.
+The best peer is the best against that reference.
 """
 
 import argparse
@@ -115,11 +114,10 @@ def rows(
     line = cells(errors)
     shares = []
     for factor in (1.0 / 3.0, 3.0):
-        noise = Noise(gyro=factor * Noise.gyro)
-        smoother = one.smoother
-        again = smoother.attitude(smoother.smooth(one.attitudes, noise=noise))
-        shares.append(share(against(found, instants(one, stamps, again)), "ours"))
-    line[4] += f" ({shares[0]:.2f}, {shares[1]:.2f})"
+        for noise in (Noise(gyro=factor * Noise.gyro), Noise(force=factor * Noise.force)):
+            again = one.smoother.attitude(one.smoother.smooth(one.attitudes, noise=noise))
+            shares.append(share(against(found, instants(one, stamps, again)), "ours"))
+    line[4] += f" ({min(shares):.2f}, {max(shares):.2f})"
     sigma = np.degrees(np.sqrt(np.mean(one.sigma_rad[one.valid] ** 2)))
     self_error = compare(own, reference.time_ns, reference.ned_from_body, False)
     valid = f"{100.0 * one.valid.mean():.0f}"
