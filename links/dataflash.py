@@ -13,7 +13,7 @@ from ahrs_service.rotation import quaternion_columns
 from links.dataflash_tables import DataFlashFile, read_tables
 from links.errors import RecordingError
 from links.gps_velocity import LEAST_FIX, velocity_columns
-from links.recording import AttitudeReference, Recording
+from links.recording import AttitudeReference, Recording, own_readings
 from links.satellite_clock import clock_rate
 from links.unit_request import unit_name
 from links.vehicle_trim import trim_notes, trim_of_parameter
@@ -65,7 +65,7 @@ def read_dataflash(path: str | Path, progress: Callable[[float], None] | None = 
     parts = [(offsets, imu), _airspeed_readings(log), velocity, _trim_readings(log, offsets, imu)]
     order = np.argsort(np.concatenate([at for at, _ in parts]), kind="stable")
     readings = np.concatenate([rows for _, rows in parts])[order]
-    heartbeat = _rows(readings["time_ns"][:1], Kind.HEARTBEAT)
+    heartbeat = own_readings(readings["time_ns"][:1], Kind.HEARTBEAT)
     heartbeat["autopilot"] = _AUTOPILOT_ARDUPILOT
     heartbeat["vehicle"] = _vehicle(log)
     rate = clock_rate_of(log)
@@ -175,16 +175,6 @@ def _table(
     return table if len(table.offsets) else None
 
 
-def _rows(time_ns: Integers, kind: Kind) -> Rows:
-    rows = empty(READING_DTYPE, len(time_ns))
-    rows["time_ns"] = time_ns
-    rows["received_ns"] = time_ns
-    rows["kind"] = kind
-    rows["system"] = 1
-    rows["component"] = 1
-    return rows
-
-
 def _imu_readings(path: Path, log: DataFlashFile) -> tuple[Integers, Rows]:
     table = _table(log, "IMU", _GYRO + _ACCEL)
     if table is None:
@@ -193,7 +183,7 @@ def _imu_readings(path: Path, log: DataFlashFile) -> tuple[Integers, Rows]:
             f"{path}: the DataFlash log has no IMU records with time, gyro and accelerometer; "
             f"it has {present}; log with the IMU bit of LOG_BITMASK set"
         )
-    rows = _rows(table.time_ns, Kind.IMU)
+    rows = own_readings(table.time_ns, Kind.IMU)
     rows["source"] = ImuSource.DATAFLASH
     rows["gyro_rad_s"] = table.columns(_GYRO)
     rows["accel_m_s2"] = table.columns(_ACCEL)
@@ -220,7 +210,7 @@ def _airspeed_readings(log: DataFlashFile) -> tuple[Integers, Rows]:
     for name, field in _AIRSPEEDS:
         table = _table(log, name, (field,))
         if table is not None:
-            rows = _rows(table.time_ns, Kind.AIRSPEED)
+            rows = own_readings(table.time_ns, Kind.AIRSPEED)
             rows["airspeed_m_s"] = table.column(field)
             return table.offsets, rows
     return _NONE
@@ -231,7 +221,7 @@ def _velocity_readings(log: DataFlashFile) -> tuple[tuple[Integers, Rows], tuple
     gps = _table(log, "GPS", ("Status", "Spd", "GCrs"), _GPS_CLOCKS)
     fixed = np.zeros(0, np.bool_) if gps is None else gps.column("Status") >= LEAST_FIX
     if gps is not None and fixed.any():
-        rows = _rows(gps.time_ns, Kind.GPS)
+        rows = own_readings(gps.time_ns, Kind.GPS)
         down = gps.column("VZ") if "VZ" in gps.fields else np.zeros(len(rows))
         # A receiver that does not measure the vertical leaves 0 there.
         down = down if down[fixed].any() else np.full(len(rows), np.nan)
@@ -243,7 +233,7 @@ def _velocity_readings(log: DataFlashFile) -> tuple[tuple[Integers, Rows], tuple
         table = _table(log, name, fields)
         if table is None:
             continue
-        rows = _rows(table.time_ns, Kind.VELOCITY)
+        rows = own_readings(table.time_ns, Kind.VELOCITY)
         rows["velocity_ned_m_s"] = table.columns(fields)
         fastest = np.fmax.reduce(np.linalg.norm(rows["velocity_ned_m_s"], axis=1), initial=0.0)
         if fastest < _FASTEST_M_S:
@@ -275,7 +265,7 @@ def _trim_readings(log: DataFlashFile, imu_offsets: Integers, imu: Rows) -> tupl
     for axis in np.isfinite(trims).T:
         at[np.flatnonzero(axis)[:1]] = -1
     before = np.maximum(np.searchsorted(imu_offsets, at) - 1, 0)
-    rows = _rows(imu["time_ns"][before], Kind.TRIM)
+    rows = own_readings(imu["time_ns"][before], Kind.TRIM)
     rows["trim_rad"] = trims
     return at, rows
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ahrs_service.records import Rows
+from ahrs_service.records import READING_DTYPE, Kind, Rows, empty
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,3 +42,12 @@ class Recording:
     notes: tuple[str, ...] = ()
     unit: str = ""
     clock_rate: float = 1.0
+
+
+def own_readings(time_ns: npt.NDArray[np.int64], kind: Kind) -> Rows:
+    """Return readings of the vehicle that keeps its own log, received when they were true."""
+    rows = empty(READING_DTYPE, len(time_ns))
+    rows["time_ns"] = rows["received_ns"] = time_ns
+    rows["kind"] = kind
+    rows["system"] = rows["component"] = 1
+    return rows

@@ -14,7 +14,7 @@ from pyulog import ULog
 from ahrs_service.records import READING_DTYPE, ImuSource, Kind, Rows, empty
 from links.errors import RecordingError
 from links.gps_velocity import LEAST_FIX
-from links.recording import AttitudeReference, Recording
+from links.recording import AttitudeReference, Recording, own_readings
 from links.unit_request import unit_name
 
 Floats = npt.NDArray[np.float64]
@@ -57,7 +57,7 @@ def read_ulog(path: str | Path, progress: Callable[[float], None] | None = None)
     parts = [imu, _airspeed_readings(tables), _gps_readings(tables), _velocity_readings(tables)]
     readings = np.concatenate([part for part in parts if len(part)])
     readings = readings[np.argsort(readings["time_ns"], kind="stable")]
-    heartbeat = _rows(readings["time_ns"][:1], Kind.HEARTBEAT)
+    heartbeat = own_readings(readings["time_ns"][:1], Kind.HEARTBEAT)
     heartbeat["autopilot"] = _AUTOPILOT_PX4
     heartbeat["vehicle"] = tables.vehicle
     origin = "none of its own in the log" if temperature is None else f"from {temperature.origin}"
@@ -185,23 +185,13 @@ def _time_ns(table: Table) -> npt.NDArray[np.int64]:
     return stamps.astype(np.int64) * 1000
 
 
-def _rows(time_ns: npt.NDArray[np.int64], kind: Kind) -> Rows:
-    rows = empty(READING_DTYPE, len(time_ns))
-    rows["time_ns"] = time_ns
-    rows["received_ns"] = time_ns
-    rows["kind"] = kind
-    rows["system"] = 1
-    rows["component"] = 1
-    return rows
-
-
 def _imu_readings(
     combined: Table,
     magnetometer: tuple[npt.NDArray[np.int64], Floats] | None,
     temperature: _Temperature | None,
 ) -> Rows:
     order = np.argsort(combined["timestamp"], kind="stable")
-    rows = _rows(combined["timestamp"][order].astype(np.int64) * 1000, Kind.IMU)
+    rows = own_readings(combined["timestamp"][order].astype(np.int64) * 1000, Kind.IMU)
     rows["source"] = ImuSource.ULOG
     gyro, accel = _vectors(combined, *_GYRO_NAMES), _vectors(combined, "accelerometer_m_s2")
     rows["gyro_rad_s"] = np.nan if gyro is None else gyro[order]
@@ -266,7 +256,7 @@ def _airspeed_readings(tables: _Tables) -> Rows:
     for name, column in _AIRSPEEDS:
         table = _table(tables, name)
         if table is not None and np.isfinite(table.get(column, np.nan)).any():
-            rows = _rows(_time_ns(table), Kind.AIRSPEED)
+            rows = own_readings(_time_ns(table), Kind.AIRSPEED)
             rows["airspeed_m_s"] = table[column]
             return rows[np.isfinite(rows["airspeed_m_s"])]
     return empty(READING_DTYPE, 0)
@@ -283,7 +273,7 @@ def _gps_readings(tables: _Tables) -> Rows:
         valid = np.isfinite(velocity).all(axis=1) & (table["fix_type"] >= LEAST_FIX)
         valid &= table.get("vel_ned_valid", np.ones(len(valid))) != 0
         if valid.any():
-            rows = _rows(_time_ns(table), Kind.GPS)
+            rows = own_readings(_time_ns(table), Kind.GPS)
             rows["velocity_ned_m_s"] = velocity
             return rows[valid]
     return empty(READING_DTYPE, 0)
@@ -294,7 +284,7 @@ def _velocity_readings(tables: _Tables) -> Rows:
     velocity = None if table is None else _columns(table, ["vx", "vy", "vz"])
     if table is None or velocity is None:
         return empty(READING_DTYPE, 0)
-    rows = _rows(_time_ns(table), Kind.VELOCITY)
+    rows = own_readings(_time_ns(table), Kind.VELOCITY)
     rows["velocity_ned_m_s"] = velocity
     valid = np.isfinite(velocity).all(axis=1)
     for flag in ("v_xy_valid", "v_z_valid"):
