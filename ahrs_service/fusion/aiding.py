@@ -58,8 +58,11 @@ COURSE_SPEED_M_S: Final = 8.0
 COURSE_SIGMA_RAD: Final = 0.35
 """about: a wind of 5 m/s across 14 m/s [rad]."""
 MATCH_SPAN_S: Final = 3.0
+MATCH_APART_S: Final = 0.8
+"""Changes are those over about a second, whatever the receiver's rate: an acceleration of 1 m/s^2
+is lost in its noise from one of five fixes a second to the next."""
 MATCH_FORGET_S: Final = 60.0
-MATCH_ENOUGH_M2_S2: Final = 30.0
+MATCH_ENOUGH_M2_S2: Final = 60.0
 """Sum of the squared changes of velocity from which a heading is found [m^2/s^2],"""
 MATCH_KNOWN_RAD: Final = 0.1
 """if what the changes do not share leaves it a 1-sigma of this [rad];"""
@@ -259,6 +262,8 @@ def _match(state: Record, then: Velocity) -> None:
     """Compare how the measured velocity and the filter's changed since the measurement before."""
     v, match, matched = state["measured_velocity_m_s"], state["match"], state["matched_m_s"]
     span_s = (state["measured_time_ns"] - state["matched_time_ns"]) * 1e-9
+    if 0.0 < span_s < MATCH_APART_S:
+        return
     if 0.0 < span_s < MATCH_SPAN_S:
         a, b = v[0] - matched[0, 0], v[1] - matched[0, 1]
         c, d = then[0] - matched[1, 0], then[1] - matched[1, 1]
