@@ -278,7 +278,7 @@ def _airframe(settings: Record, sample: Record) -> int:
 @inlined_kernel
 def take(
     settings: Record,
-    coefficients: Rows,
+    coefficients: Record,
     state: Record,
     sample: Record,
     out: Record,
@@ -300,7 +300,20 @@ def take(
             flags = _realign_if_lost(settings, state, sample, dt_s, flags)
             _move(settings, state, sample, gyro, accel, dt_s, flags, nodes)
     _write_estimate(state, sample, accel, flags, out)
+    if found & _NOT_FINITE:
+        _doubt(settings, state, sample, out)
     _write_gate(state, out)
+
+
+@kernel
+def _doubt(settings: Record, state: Record, sample: Record, out: Record) -> None:
+    """Widen the sigma of an attitude that stands still for want of a rate."""
+    since_s = (sample["time_ns"] - state["time_ns"]) * 1e-9
+    if since_s > settings["gap_s"]:
+        turned = propagation.GAP_RATE_SIGMA_RAD_S * since_s
+        for i in range(3):
+            sigma = math.hypot(out["attitude_sigma_rad"][i], turned)
+            out["attitude_sigma_rad"][i] = min(sigma, math.pi)
 
 
 @inlined_kernel
@@ -315,18 +328,18 @@ def _move(
     nodes: Rows | None,
 ) -> None:
     """Take one good sample: integrate, and at the end of a turn correct."""
+    airframe = _airframe(settings, sample)
     motion.hear_airspeed(state, sample)
     if settings["use_ground_velocity"] != 0:
         aiding.hear_velocity(state, sample)
     if state["aligned_samples"] == 0:
         if flags & _ACCEL_MISSING == 0:
-            alignment.first_attitude(state, gyro, accel)
+            alignment.first_attitude(settings, state, airframe, gyro, accel)
             heading.first_heading(settings, state, sample["mag_ut"])
             _summarise(state)
         return
     if dt_s <= 0.0:
         return
-    airframe = _airframe(settings, sample)
     for i in range(3):
         accel[i] = accel[i] * state["force_scale"] - state["accel_bias_m_s2"][i]
     propagation.move(settings, state, airframe, gyro, accel, dt_s, flags)
@@ -343,9 +356,7 @@ def _move(
             _begin(settings, state, airframe)
             return
         heading.seek(settings, state, aiding.is_fresh(state))
-    if state["phase"] == _ALIGNING and alignment.gather(
-        state, gyro, accel, settings["alignment_s"]
-    ):
+    if state["phase"] == _ALIGNING and alignment.gather(settings, state, airframe, gyro, accel):
         state["phase"] = _RUNNING
         _summarise(state)
 
@@ -353,7 +364,7 @@ def _move(
 @kernel
 def step(parameters: Rows, coefficients: Rows, state: Rows, sample: Rows, estimate: Rows) -> None:
     """Take one sample [1], move `state` [1] on and write the estimate [1]."""
-    take(parameters[0], coefficients, state[0], sample[0], estimate[0], None)
+    take(parameters[0], coefficients[0], state[0], sample[0], estimate[0], None)
 
 
 @kernel
@@ -362,4 +373,4 @@ def batch(
 ) -> None:
     """Take `samples` [N] one after the other and write `estimates` [N]: the same as N steps."""
     for n in range(samples.shape[0]):
-        take(parameters[0], coefficients, state[0], samples[n], estimates[n], None)
+        take(parameters[0], coefficients[0], state[0], samples[n], estimates[n], None)

@@ -33,6 +33,8 @@ def reader_for(path: Path) -> Reader:
 def read_recording(path: str | Path, progress: Callable[[float], None] | None = None) -> Recording:
     """Read a recording of any known format; `progress` is called with the share read, 0 to 1."""
     path = Path(path)
+    if path.is_dir():
+        raise RecordingError(f"{path}: is a folder; give a recording: {KNOWN}")
     if not path.is_file():
         raise RecordingError(f"{path}: no such file; check the path")
     return reader_for(path)(path, progress)

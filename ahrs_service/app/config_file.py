@@ -158,6 +158,8 @@ def _explain(error: ValidationError, origin: str) -> str:
         field = ".".join(str(part) for part in problem["loc"])
         if problem["type"] == "unexpected_keyword_argument":
             lines.append(f"{origin}: {field}: no such setting; {_known(problem['loc'])}")
+        elif problem["type"] == "dataclass_type":
+            lines.append(f"{origin}: {field} = {problem['input']!r}: write a table, [{field}]")
         else:
             lines.append(f"{origin}: {field} = {problem['input']!r}: {problem['msg']}")
     return "\n".join(lines)

@@ -247,6 +247,8 @@ class Daemon:
 
     def _take_unit(self) -> None:
         """Put the calibration of the unit that the autopilot told into force."""
+        if self.calibration is None and not self._shelf.is_folder:
+            return
         warning, choice = self._shelf.mismatch(self._unit), self._shelf.choose(self._unit)
         if choice is None:
             warning = self._shelf.refusal(self._unit)

@@ -23,6 +23,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -48,12 +49,18 @@ EXIT_TERMINATED: Final = 143
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `demo`."""
     parser.add_argument(
-        "--seconds", type=options.positive, default=60.0, help="length of the flight"
+        "--seconds", type=options.positive, default=60.0, help="length of the flight (default: 60)"
     )
-    parser.add_argument("--scenario", default="flight", help="see ahrs-service simulate --help")
-    parser.add_argument("--seed", type=int, default=1, help="another seed is another flight")
     parser.add_argument(
-        "--out", type=Path, default=Path("demo_output"), metavar="DIR", help="for .tlog and .rrd"
+        "--scenario", default="flight", help="as simulate --help has them (default: flight)"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="other seed, other flight (default: 1)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("demo_output"),
+        metavar="DIR",
+        help="for .tlog and .rrd (default: demo_output)",
     )
     parser.add_argument(
         "--headless", action="store_true", help="open no viewer window, also where a screen is"
@@ -75,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
     CalibrationShelf(sensor)
     files = _files(arguments.out)
     settings = _with_places(dataclasses.replace(settings, sensor=sensor), files)
-    console.print("[dim]compiling kernels (some seconds on the first start)[/]")
+    console.print("[dim]starting; on the first start the kernels are compiled, a minute or so[/]")
     try:
         flown = asyncio.run(_fly(settings, arguments, console))
     except asyncio.CancelledError:
@@ -146,9 +153,7 @@ async def _fly(
     port = settings.link.uri.rpartition(":")[2]
     try:
         with showing(daemon, console, table=True):
-            failed, out, errors = await _simulate(arguments, port)
-            # What is still in the socket belongs to the flight.
-            await asyncio.sleep(0.2)
+            failed, out, errors = await _simulate(arguments, port, daemon.stop)
     finally:
         daemon.stop()
         await serving
@@ -157,11 +162,16 @@ async def _fly(
     if failed:
         log("error", f"the simulator ended with an error: {errors.strip()}")
         return None
-    return daemon, json.loads(out.splitlines()[-1])
+    return daemon, json.loads(out)
 
 
-async def _simulate(arguments: argparse.Namespace, port: str) -> tuple[int | None, str, str]:
-    """Fly the simulator as a process of its own; return its exit code and what it said."""
+async def _simulate(
+    arguments: argparse.Namespace, port: str, landed: Callable[[], None]
+) -> tuple[int | None, str, str]:
+    """Fly the simulator as a process of its own; return its exit code and what it said.
+
+    `landed` is called as soon as the flight is over: its process takes a while to end.
+    """
     simulator = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "ahrs_service.app.cli", "simulate", "--json"),
         *("--link", f"udpout:{_HOST}:{port}", "--seconds", str(arguments.seconds)),
@@ -170,7 +180,12 @@ async def _simulate(arguments: argparse.Namespace, port: str) -> tuple[int | Non
         stderr=subprocess.PIPE,
     )
     try:
-        out, errors = await simulator.communicate()
+        assert simulator.stdout is not None
+        out = await simulator.stdout.readline()
+        # What is still in the socket belongs to the flight.
+        await asyncio.sleep(0.2)
+        landed()
+        _, errors = await simulator.communicate()
     finally:
         if simulator.returncode is None:
             simulator.terminate()

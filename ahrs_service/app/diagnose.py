@@ -1,13 +1,15 @@
 """Compare a recording with its twin: where they differ, what physics was left out, how sure.
 
-ahrs-service diagnose flight.tlog --html report.html --write-twin twin.toml
-ahrs-service diagnose flight.bin --twin twin.toml --json report.json --rrd report.rrd
-ahrs-service diagnose flight.tlog --against simulated.tlog
-
 The twin is the sensor as it is believed to be; without one an ideal sensor. What is found is
 described in plain words, proven on parts of the recording that it was not fitted to, and can be
 written into the twin, which is then simulated (simulate --twin), and, where it has that form, into
 a calibration, which the estimator compensates live (run --calibration).
+
+Examples:
+  ahrs-service diagnose flight.tlog --html report.html --write-twin twin.toml
+  ahrs-service diagnose flight.bin --twin twin.toml --json report.json --rrd report.rrd
+  ahrs-service diagnose flight.tlog --against simulated.tlog
+
 """
 
 import argparse
@@ -26,6 +28,7 @@ from ahrs_service.app import diagnosis_text as text
 from ahrs_service.app.diagnosis_page import most_telling, page
 from ahrs_service.app.diagnosis_terminal import summary
 from ahrs_service.app.loaded_recording import load
+from ahrs_service.app.options import new_file
 from ahrs_service.app.recorded_columns import with_velocity
 from ahrs_service.app.replay import progress_bar
 from ahrs_service.calibration.folding import fold
@@ -67,15 +70,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="TRUTH.json",
         help="what the recording is known to hold (as prove writes it): shown beside what is found",
     )
-    parser.add_argument("--json", type=Path, metavar="OUT", help="write the report")
-    parser.add_argument("--html", type=Path, metavar="OUT", help="write one page with pictures")
-    parser.add_argument("--rrd", type=Path, metavar="OUT", help="write for the Rerun viewer")
+    parser.add_argument("--json", type=new_file, metavar="OUT", help="write the report")
+    parser.add_argument("--html", type=new_file, metavar="OUT", help="write one page with pictures")
+    parser.add_argument("--rrd", type=new_file, metavar="OUT", help="write for the Rerun viewer")
     parser.add_argument(
-        "--write-twin", type=Path, metavar="OUT.toml", help="write the twin with what was found"
+        "--write-twin", type=new_file, metavar="OUT.toml", help="write the twin with what was found"
     )
     parser.add_argument(
         "--write-calibration",
-        type=Path,
+        type=new_file,
         metavar="OUT.toml",
         help="write a calibration that compensates what was found, as far as that can be",
     )

@@ -3,6 +3,7 @@
 import argparse
 import dataclasses
 import math
+from pathlib import Path
 
 from ahrs_service.app import config_file, profiles
 from ahrs_service.settings import SensorSettings, Settings
@@ -67,7 +68,51 @@ def settings_of(arguments: argparse.Namespace) -> Settings:
 
 def positive(text: str) -> float:
     """Return the number that `text` is, for argparse; it must be finite and above 0."""
-    value = float(text)
+    value = _number(text)
     if not 0.0 < value < math.inf:
         raise argparse.ArgumentTypeError(f"{text} is not a number above 0")
     return value
+
+
+def positive_or_inf(text: str) -> float:
+    """Return the number above 0 that `text` is, for argparse; `inf` is one too."""
+    return math.inf if _number(text) == math.inf else positive(text)
+
+
+def not_negative(text: str) -> float:
+    """Return the number that `text` is, for argparse; it must be finite and not below 0."""
+    value = _number(text)
+    if not 0.0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text} is not a number from 0 on")
+    return value
+
+
+def whole(text: str) -> int:
+    """Return the whole number above 0 that `text` is, for argparse."""
+    if not (text.isdecimal() and int(text)):
+        raise argparse.ArgumentTypeError(f"{text} is not a whole number above 0")
+    return int(text)
+
+
+def port(text: str) -> int:
+    """Return the number of a TCP port that `text` is, for argparse."""
+    if not (text.isdecimal() and 0 < int(text) < 1 << 16):
+        raise argparse.ArgumentTypeError(f"{text} is not a port, 1 to 65535")
+    return int(text)
+
+
+def new_file(text: str) -> Path:
+    """Return the path of a file to be written, for argparse: before the work that fills it."""
+    path = Path(text)
+    if path.is_dir():
+        raise argparse.ArgumentTypeError(f"{text} is a folder; give a file")
+    if not path.parent.is_dir():
+        raise argparse.ArgumentTypeError(f"{text}: there is no folder {path.parent}")
+    return path
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan

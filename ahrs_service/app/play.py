@@ -1,6 +1,9 @@
 """Play a recording over a link in real time, as the vehicle that was recorded.
 
-ahrs-service play flight.tlog --link udpout:127.0.0.1:14550
+Examples:
+  ahrs-service play flight.tlog --link udpout:127.0.0.1:14550
+  ahrs-service play flight.tlog --link serial:/dev/ttyUSB0:57600 --speed 4 --loop
+
 """
 
 import argparse
@@ -15,6 +18,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from ahrs_service.app.options import positive_or_inf
 from links.link import Link, LinkState, Peer
 from links.player import PlayCounts, due_s, play
 from links.registry import open_link
@@ -22,13 +26,6 @@ from links.tlog import TlogFile, read_tlog
 
 EXIT_DONE: Final = 0
 EXIT_NOTHING_SENT: Final = 1
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not value > 0:
-        raise argparse.ArgumentTypeError(f"{text} is not above 0")
-    return value
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,11 +38,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, serial:DEV:BAUD",
     )
     parser.add_argument(
-        "--speed", type=_positive, default=1.0, metavar="FACTOR", help="inf: as fast as it goes"
+        "--speed",
+        type=positive_or_inf,
+        default=1.0,
+        metavar="FACTOR",
+        help="faster than real time; inf: as fast as it goes",
     )
     parser.add_argument(
         "--max-gap",
-        type=_positive,
+        type=positive_or_inf,
         default=math.inf,
         metavar="SECONDS",
         help="longer gaps of the recording are shortened to this",

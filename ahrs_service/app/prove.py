@@ -5,9 +5,11 @@ and hashed before the first diagnosis; the hash is printed and checked again bef
 Rivals choose among the same effects: stepwise regression by F-test or BIC, the lasso; the oracle
 knows each effect's shape and the noise. Shares stand with their Wilson 95 % intervals.
 
+Examples:
   ahrs-service prove --count 100 --jobs 2
   ahrs-service prove --cases FOLDER      diagnose NAME.tlog, score by NAME.truth.json beside it
   ahrs-service prove --cases FOLDER --reports FOLDER     score NAME.report.json as they are
+
 """
 
 import argparse
@@ -38,6 +40,7 @@ from ahrs_service.app.blind_files import (
 from ahrs_service.app.blind_rivals import OURS, Answer, answer
 from ahrs_service.app.blind_tables import misses_table, score_table, where_table
 from ahrs_service.app.config_file import ConfigError
+from ahrs_service.app.options import new_file, whole
 from ahrs_service.diagnosis.blind.case import make, request_of
 from ahrs_service.diagnosis.blind.held_out import gain_share
 from ahrs_service.diagnosis.blind.oracle import oracle_report
@@ -65,10 +68,10 @@ class Proof:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ahrs-service prove`."""
     parser.add_argument(
-        "--count", type=_whole, default=60, metavar="N", help="recordings to make (default 60)"
+        "--count", type=whole, default=60, metavar="N", help="recordings to make (default 60)"
     )
     parser.add_argument(
-        "--seconds", type=_whole, metavar="S", help="length of each (default 200 to 400 by kind)"
+        "--seconds", type=whole, metavar="S", help="length of each (default 200 to 400 by kind)"
     )
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the set (default 1)")
     parser.add_argument(
@@ -84,16 +87,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--reports", type=Path, metavar="DIR", help="with --cases: score NAME.report.json of DIR"
     )
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep recordings, truths, reports")
-    parser.add_argument("--jobs", type=_whole, default=1, metavar="N", help="processes (default 1)")
+    parser.add_argument("--jobs", type=whole, default=1, metavar="N", help="processes (default 1)")
     parser.add_argument("--no-rivals", action="store_true", help="leave the baselines out")
-    parser.add_argument("--json", type=Path, metavar="OUT", help="write marks and score")
-
-
-def _whole(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text} is not a whole number above 0")
-    return value
+    parser.add_argument("--json", type=new_file, metavar="OUT", help="write marks and score")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -138,7 +134,11 @@ def _make(args: argparse.Namespace, folder: Path, console: Console) -> None:
         raise ConfigError(f"--keep {folder}: holds a set already; give an empty folder")
     truths.mkdir()
     for request in _track(requests, len(requests), "hiding", console):
-        write_case(folder, truths, make(request))
+        try:
+            case = make(request)
+        except ValueError as error:
+            raise ConfigError(f"--seconds {args.seconds}: too short: {error}") from None
+        write_case(folder, truths, case)
 
 
 def _ask(paths: list[Path], args: argparse.Namespace, console: Console) -> list[Answer]:

@@ -130,7 +130,9 @@ def _logs(paths: list[Path]) -> list[Path]:
     for path in paths:
         if path.is_dir():
             inside = [one for one in sorted(path.iterdir()) if one.suffix.lower() in READERS]
-            found += inside or [path]
+            if not inside:
+                raise RecordingError(f"{path}: the folder holds no recording: no {KNOWN}")
+            found += inside
         else:
             found.append(path)
     return found

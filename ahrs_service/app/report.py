@@ -14,7 +14,7 @@ from ahrs_service.app.summary import Summary
 from ahrs_service.comparison import Comparison, ErrorStatistics, HeadingError
 
 RULES: Final = (
-    "errors are ours minus the log's own attitude, at its instants, where our filter runs; Euler "
+    "Errors are ours minus the log's own attitude, at its instants, where our filter runs; Euler "
     "angles beyond 75 deg of pitch left out. Steady flight, by the reference alone: body rate "
     "below 0.15 rad/s, roll and pitch within 25 deg, for at least 2 s."
 )
@@ -114,7 +114,8 @@ def _messages(summary: Summary) -> str:
 
 def _imu(summary: Summary) -> str:
     used = ", ".join(f"{name} {count}" for name, count in summary.sources.items()) or "none"
-    changes = f", source changed {summary.source_changes} times" if summary.source_changes else ""
+    times = {0: "", 1: ", source changed once"}
+    changes = times.get(summary.source_changes, f", source changed {summary.source_changes} times")
     return f"{used} samples at {_number(summary.imu_rate_hz, 1)} Hz{changes}"
 
 

@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--viewer",
         nargs="?",
-        type=int,
+        type=options.port,
         const=DEFAULT_VIEWER_PORT,
         metavar="PORT",
         help=f"host a Rerun stream on loopback (default port {DEFAULT_VIEWER_PORT})",
@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Serve until SIGINT, SIGTERM or the time is up; return the exit code."""
     settings = settings_from(arguments)
     console = Console()
-    console.print(f"[dim]settings: {settings.link.uri}; compiling kernels on the first start[/]")
+    console.print("[dim]starting; on the first start the kernels are compiled, a minute or so[/]")
     daemon = asyncio.run(
         serve(settings, console, table=not arguments.quiet, seconds=arguments.seconds)
     )

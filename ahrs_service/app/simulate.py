@@ -21,7 +21,7 @@ from rich.markup import escape
 
 from ahrs_service.app import toml_file, twin_file
 from ahrs_service.app.config_file import ConfigError
-from ahrs_service.app.options import positive
+from ahrs_service.app.options import not_negative, positive
 from ahrs_service.app.retrace_recording import flight_along
 from ahrs_service.simulation.imu import Imu, consumer_grade
 from ahrs_service.simulation.scenario import (
@@ -61,10 +61,6 @@ DEFAULT_SECONDS: Final = 60.0
 EXIT_DONE: Final = 0
 
 
-def _not_negative(text: str) -> float:
-    return 0.0 if float(text) == 0.0 else positive(text)
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ahrs-service simulate`."""
     where = parser.add_mutually_exclusive_group(required=True)
@@ -99,23 +95,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds", type=positive, help="length of a scenario's flight (default: 60)"
     )
-    parser.add_argument("--seed", type=int, default=1, help="another seed is another flight")
+    parser.add_argument("--seed", type=int, default=1, help="other seed, other flight (default: 1)")
     parser.add_argument(
         "--rate",
         type=positive,
         default=400.0,
         metavar="HZ",
-        help=f"the autopilot's loop, to {FASTEST_HZ:g}; it grants messages at 0.8 of it",
+        help=f"the autopilot's loop, to {FASTEST_HZ:g}; it grants messages at 0.8 of it "
+        "(default: 400)",
     )
     parser.add_argument(
-        "--speed", type=positive, default=1.0, metavar="FACTOR", help="faster than real time"
+        "--speed", type=positive, default=1.0, metavar="FACTOR", help="of real time (default: 1)"
     )
     parser.add_argument(
         "--truth",
-        type=_not_negative,
+        type=not_negative,
         default=50.0,
         metavar="HZ",
-        help="how often RAW_IMU and the SIM_STATE that belongs to it are sent unasked (0: never)",
+        help="how often RAW_IMU and the SIM_STATE that belongs to it are sent unasked "
+        "(0: never; default: 50)",
     )
     parser.add_argument("--json", action="store_true", help="end with one line of JSON on stdout")
 
@@ -248,5 +246,5 @@ def run(args: argparse.Namespace) -> int:
             highlight=False,
         )
     if args.json:
-        print(json.dumps(report))
+        print(json.dumps(report), flush=True)
     return EXIT_DONE

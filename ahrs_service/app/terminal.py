@@ -89,15 +89,22 @@ def _rates(daemon: Daemon) -> Table:
 
 
 def _traffic(daemon: Daemon) -> Text:
-    session, (p50, p99, worst) = daemon.session, daemon.session.latency.percentiles_ms()
+    session = daemon.session
     counts = daemon.decoder.counts
     damaged = sum(value for name, value in counts.items() if name != "frames")
     line = Text(
         f"{session.estimates} samples, {session.published} attitudes sent, "
-        f"{session.not_sent} not sent; latency p50 {p50:.2f} p99 {p99:.2f} max {worst:.2f} ms; "
+        f"{session.not_sent} not sent; latency {_latency(daemon)}; "
         f"{counts['frames']} frames in, {damaged} damaged"
     )
     return line
+
+
+def _latency(daemon: Daemon) -> str:
+    if not daemon.session.published:
+        return "-"
+    p50, p99, worst = daemon.session.latency.percentiles_ms()
+    return f"p50 {p50:.2f} ms, p99 {p99:.2f} ms, max {worst:.2f} ms"
 
 
 def live_table(daemon: Daemon) -> Panel:
@@ -141,8 +148,7 @@ def session_table(daemon: Daemon) -> Table:
         for rate in daemon.component.rates()
     ]
     table.add_row("rates", "\n".join(rates))
-    p50, p99, worst = session.latency.percentiles_ms()
-    table.add_row("latency", f"p50 {p50:.2f} ms, p99 {p99:.2f} ms, max {worst:.2f} ms")
+    table.add_row("latency", _latency(daemon))
     table.add_row("samples", f"{session.estimates}, attitudes sent {session.published}")
     lost = ", ".join(f"{count} {name}" for name, count in daemon.drops().items() if count)
     table.add_row("lost", lost or "nothing")

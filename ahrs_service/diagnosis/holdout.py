@@ -75,7 +75,7 @@ def _sizes(model: Model) -> Floats:
         values = np.asarray(model.terms[number.term].values[number.parameter.name])
         now = 0.0 if number.is_form else float(values[number.index])
         size = float(np.sqrt(np.mean(values**2)))
-        if model.terms[number.term].effect.name == "saturation":
+        if model.terms[number.term].effect.is_limit:
             size *= _STAYS
         row = np.array([1.0, -now]) / max(size, _LEAST_SIZE)
         prior[np.ix_([place, last], [place, last])] += np.outer(row, row)

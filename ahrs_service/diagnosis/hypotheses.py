@@ -64,7 +64,7 @@ def step_between(residual: Residual, before: Model, candidate: Candidate, after:
     """Return the step from one model to another that holds a candidate more."""
     gain = gain_between(residual, before, after)
     value = surprise(gain, candidate.freedom)
-    if candidate.effect is not None and candidate.effect.name == "saturation":
+    if candidate.effect is not None and candidate.effect.is_limit:
         low, high = limits(residual, candidate.effect)
         value -= 0.0 if low == high else _NO_TIES
     return Step(candidate, after, gain, value)

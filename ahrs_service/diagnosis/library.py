@@ -47,6 +47,11 @@ class Candidate:
     freedom: int
     is_whole: bool = False
 
+    @property
+    def is_constant(self) -> bool:
+        """Whether its effect is a constant attitude error in flight (see effects.base)."""
+        return self.effect is not None and self.effect.is_constant
+
 
 @dataclass(frozen=True, slots=True)
 class Smooth:
@@ -107,7 +112,7 @@ def sources(residual: Residual, effect: Effect) -> Columns:
     Where a limit may have cut the reading, close to the largest there is, only the reference knows
     the motion; elsewhere its noise would be taken for what was cut off.
     """
-    if effect.name != "saturation":
+    if not effect.is_limit:
         return residual.columns
     if residual.witnessed is residual.columns:
         return replace(residual.columns, scatter=residual.scatter)
@@ -137,7 +142,7 @@ def limits(residual: Residual, effect: Effect) -> tuple[float, float]:
 
 def forms_of(residual: Residual, effect: Effect) -> list[dict[str, float]]:
     """Return the forms of an effect to search over; a limit lies where the readings end."""
-    if effect.name != "saturation":
+    if not effect.is_limit:
         return effect.grid(residual.columns)
     part = slice(0, 3) if effect.triad == "gyro" else slice(3, 6)
     low, high = limits(residual, effect)

@@ -104,7 +104,7 @@ def _with(columns: Columns, added: Addition, sign: float) -> Columns:
 def _motion(residual: Residual, effect: Effect, terms: tuple[Term, ...]) -> Columns:
     columns = sources(residual, effect)
     is_exact = residual.columns is residual.witnessed
-    return columns if is_exact or effect.name == "saturation" else motion_under(columns, terms)
+    return columns if is_exact or effect.is_limit else motion_under(columns, terms)
 
 
 def added_rows(residual: Residual, terms: tuple[Term, ...]) -> Floats:
@@ -172,7 +172,7 @@ def _possible(residual: Residual, terms: tuple[Term, ...]) -> tuple[Term, ...]:
     possible = []
     for term in terms:
         values = dict(term.values)
-        if term.effect.name == "saturation":
+        if term.effect.is_limit:
             bounds = limits(residual, term.effect)
             values["limit"] = np.array(np.clip(float(values["limit"]), *bounds))
         possible.append(Term(term.effect, values))

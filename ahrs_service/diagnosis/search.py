@@ -57,7 +57,6 @@ and time are badly known, and a smaller wander makes more of any slow regressor.
 of noise the largest were 17.2 and 15.1 so, wander that follows temperature, and 5.3 before. Not of
 a turned mounting, no slow regressor: there the largest was 4.4, of the 66 of them in motion."""
 _SHARE_OF_UNKNOWN: Final = 0.3
-_CONSTANT: Final = "imu_mounting_rotation"
 _SOME: Final = 1.5
 Progress = Callable[[float], None]
 
@@ -118,10 +117,9 @@ def _is_possible(library: Library, step: Step) -> bool:
 def _is_swallowed(candidate: Candidate, value: float) -> bool:
     """Whether the noise of a model without it may have taken up what a candidate explains.
 
-    A turned mounting in flight is a constant attitude error in body axes, as the reference's own
-    is that lasts: only a fit with the noise parts them.
+    Only a fit with the noise parts a constant error from the reference's own that lasts.
     """
-    return candidate.name == _CONSTANT and value > _SOME
+    return candidate.is_constant and value > _SOME
 
 
 def _best_named(
@@ -150,7 +148,7 @@ def _best_named(
     best = max(fitted, key=lambda step: step.surprise, default=None)
     if best is None or held[best.candidate.name] >= least:
         return best
-    freed = 0.0 if best.candidate.name == _CONSTANT else _FREED
+    freed = 0.0 if best.candidate.is_constant else _FREED
     if best.surprise >= least + freed:
         return best
     return None

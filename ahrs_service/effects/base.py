@@ -120,7 +120,9 @@ class Effect(ABC):
     """A physical effect on one triad or on both; `name` without the triad's prefix.
 
     `needs` the covariates of Columns without which it cannot be computed. `has_inverse` where the
-    ideal reading can be found again from the reading of the same instant.
+    ideal reading can be found again from the reading of the same instant. `is_limit` where it cuts
+    off what lies beyond its one parameter. `is_constant` where in flight it is a constant attitude
+    error in body axes, as the reference's own is that lasts.
     """
 
     triad: Triad
@@ -133,6 +135,8 @@ class Effect(ABC):
     taken_for: ClassVar[tuple[str, ...]] = ()
     separated_by: ClassVar[str]
     has_inverse: ClassVar[bool] = True
+    is_limit: ClassVar[bool] = False
+    is_constant: ClassVar[bool] = False
 
     @property
     def id(self) -> str:

@@ -18,6 +18,7 @@ class MountingRotation(Effect):
     excited_by: ClassVar[str] = "turns about two axes; tilts"
     taken_for: ClassVar[tuple[str, ...]] = ("gyro_misalignment", "accel_misalignment")
     separated_by: ClassVar[str] = "turn about each axis alone, in six positions"
+    is_constant: ClassVar[bool] = True
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -21,6 +21,7 @@ class Saturation(Effect):
     taken_for: ClassVar[tuple[str, ...]] = ("scale_nonlinearity", "scale_factor")
     separated_by: ClassVar[str] = "repeat the hardest manoeuvre at half its strength"
     has_inverse: ClassVar[bool] = False
+    is_limit: ClassVar[bool] = True
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

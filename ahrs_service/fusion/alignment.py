@@ -1,4 +1,7 @@
-"""The first attitude: gravity at once, then averaged; at rest also the gyro's bias."""
+"""The first attitude: gravity at once, then averaged; at rest also the gyro's bias.
+
+A fixed wing that turns is in the air: the force along y and z is that of the turn as well.
+"""
 
 import math
 from typing import Final
@@ -41,6 +44,10 @@ REST_RATE_RAD_S: Final = 0.15
 REST_FORCE_ERROR_M_S2: Final = 0.5
 REST_BIAS_SIGMA_RAD_S: Final = 0.002
 """Of a bias averaged at rest over about a second [rad/s]."""
+FLOWN_RATE_RAD_S: Final = 0.1
+"""More than a gyro's bias: what turns so is in the air, at 15 m/s with 9 deg of bank."""
+REST_BIAS_SIGMAS: Final = 2.0
+"""A fixed wing's mean rate beyond so many 1-sigma of the bias is rather a smooth wide turn."""
 
 
 @kernel
@@ -142,17 +149,31 @@ def is_sound(state: Record) -> bool:
 
 
 @kernel
-def first_attitude(state: Record, gyro: Floats, accel: Floats) -> None:
-    """Set roll and pitch from one specific force [3] [m/s^2]; the heading is kept, 0 at first."""
+def first_attitude(
+    settings: Record, state: Record, airframe: int, gyro: Floats, accel: Floats
+) -> None:
+    """Set roll and pitch from one specific force [3] [m/s^2]; the heading is kept, 0 at first.
+
+    A fixed wing in a turn moves along its nose with the usual speed V of its class, and what is
+    left of the force is gravity: w x V e_x - f = -(f_x, f_y - V r, f_z + V q).
+    """
+    speed = _speed(settings, airframe)
+    rate2 = 0.0
+    for i in range(3):
+        state["rate_rad_s"][i] = gyro[i] - state["gyro_bias_rad_s"][i]
+        rate2 += state["rate_rad_s"][i] ** 2
+    if rate2 < FLOWN_RATE_RAD_S**2:
+        speed = 0.0
+    across = accel[1] - speed * state["rate_rad_s"][2]
+    down = accel[2] + speed * state["rate_rad_s"][1]
     before = np.empty(3)
     to_euler(state["ned_from_body"], before)
-    roll = math.atan2(-accel[1], -accel[2])
-    pitch = math.atan2(accel[0], math.sqrt(accel[1] * accel[1] + accel[2] * accel[2]))
+    roll = math.atan2(-across, -down)
+    pitch = math.atan2(accel[0], math.sqrt(across * across + down * down))
     from_euler(roll, pitch, before[2], state["ned_from_body"])
     dcm = state["dcm"]
     matrix(state["ned_from_body"], dcm)
     for i in range(3):
-        state["rate_rad_s"][i] = gyro[i] - state["gyro_bias_rad_s"][i]
         state["smooth_rate_rad_s"][i] = state["rate_rad_s"][i]
         state["accel_before_m_s2"][i] = accel[i]
         state["force_ned_m_s2"][i] = (
@@ -162,10 +183,47 @@ def first_attitude(state: Record, gyro: Floats, accel: Floats) -> None:
     rest.start(state, accel)
     state["interval_before_s"] = 0.0
     state["aligned_samples"] = 1
+    if speed > 0.0:
+        _begin_in_flight(settings, state, airframe, speed)
 
 
 @kernel
-def gather(state: Record, gyro: Floats, accel: Floats, duration_s: float) -> bool:
+def _speed(settings: Record, airframe: int) -> float:
+    """Return the speed [m/s] along x that the filter takes a vehicle of the class to fly with."""
+    return float(settings["forward_speed_m_s"][airframe]) if settings["use_velocity"] != 0 else 0.0
+
+
+@kernel
+def _begin_in_flight(settings: Record, state: Record, airframe: int, speed: float) -> None:
+    """Set velocity and its covariance to those of the class; doubt the accelerometer's scale.
+
+    v = C v_body, so its error is that of v_body turned, and psi x v. No rest has shown the scale,
+    and a flight seldom will: most of the force is along z, so a bias there stands for it.
+    """
+    p, v, dcm = state["covariance"], state["velocity_ned_m_s"], state["dcm"]
+    sigma = settings["velocity_sigma_m_s"][airframe]
+    scaled = STANDARD_GRAVITY_M_S2 * force_scale.sigma_of(settings, airframe)
+    p[ACCEL_BIAS + 2, ACCEL_BIAS + 2] += scaled * scaled
+    for i in range(3):
+        v[i] = speed * dcm[i, 0]
+    for i in range(3):
+        for j in range(3):
+            p[VELOCITY + i, VELOCITY + j] = 0.0
+            for k in range(3):
+                p[VELOCITY + i, VELOCITY + j] += dcm[i, k] * dcm[j, k] * sigma[k] ** 2
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        # psi about k turns v from i to j.
+        for m, turned in ((i, -v[j]), (j, v[i])):
+            p[VELOCITY + m, k] = p[k, VELOCITY + m] = turned * p[k, k]
+        p[VELOCITY + i, VELOCITY + i] += v[j] * v[j] * p[k, k]
+        p[VELOCITY + j, VELOCITY + j] += v[i] * v[i] * p[k, k]
+        p[VELOCITY + i, VELOCITY + j] -= v[i] * v[j] * p[k, k]
+        p[VELOCITY + j, VELOCITY + i] -= v[i] * v[j] * p[k, k]
+
+
+@kernel
+def gather(settings: Record, state: Record, airframe: int, gyro: Floats, accel: Floats) -> bool:
     """Add a sample to the alignment; return whether it is complete.
 
     If the vehicle stood still all the time, the mean rate is the gyro's bias.
@@ -177,21 +235,24 @@ def gather(state: Record, gyro: Floats, accel: Floats, duration_s: float) -> boo
         state["gyro_square_sum"][i] += gyro[i] * gyro[i]
     state["aligned_samples"] += 1
     elapsed_s = (state["time_ns"] - state["alignment_start_ns"]) * 1e-9
-    if state["aligned_samples"] <= MIN_SAMPLES or elapsed_s < duration_s:
+    if state["aligned_samples"] <= MIN_SAMPLES or elapsed_s < settings["alignment_s"]:
         return False
-    _take_rest_bias(state)
+    _take_rest_bias(settings, state, airframe)
     return True
 
 
 @kernel
-def _take_rest_bias(state: Record) -> None:
+def _take_rest_bias(settings: Record, state: Record, airframe: int) -> None:
     """Take the mean rate for the bias if rate and force were those of a vehicle at rest."""
     count = state["aligned_samples"] - 1
+    largest = REST_RATE_RAD_S
+    if _speed(settings, airframe) > 0.0:
+        largest = REST_BIAS_SIGMAS * settings["gyro_bias_sigma_rad_s"]
     rest = state["force_error_sum"] / count < REST_FORCE_ERROR_M_S2
     for i in range(3):
         mean = state["gyro_sum_rad_s"][i] / count
         spread2 = state["gyro_square_sum"][i] / count - mean * mean
-        rest = rest and abs(mean) < REST_RATE_RAD_S and spread2 < REST_RATE_SPREAD_RAD_S**2
+        rest = rest and abs(mean) < largest and spread2 < REST_RATE_SPREAD_RAD_S**2
     if not rest:
         return
     p = state["covariance"]

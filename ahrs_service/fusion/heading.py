@@ -7,14 +7,16 @@ those two hides d / sqrt(2) across them, which turns a horizontal field H by d /
 
     variance = sigma^2 + d^2 / (2 H^2) (1 + d^2 / limit^2) + (down / H)^2 tilt variance
 
-There is no sharp limit, so a heading that has become doubtful itself comes back to any field in
-the end. Without a magnetometer the heading starts at 0 and runs free, with a sigma that grows.
+A reading belongs to the attitude of when it was taken (`field_lag`); what its lag may be wrong by
+adds to that. There is no sharp limit, so a heading that has become doubtful itself comes back to
+any field in the end. Without a magnetometer the heading starts at 0 and runs free, with a sigma
+that grows.
 """
 
 import math
 from typing import Final
 
-from ahrs_service.fusion import hard_iron
+from ahrs_service.fusion import field_lag, hard_iron
 from ahrs_service.fusion.mekf import correct_state, forget, turn_about_down, variance_of
 from ahrs_service.fusion.states import ANGLE
 from ahrs_service.kernel import inlined_kernel, kernel
@@ -25,16 +27,19 @@ HEADING_FIELDS: Final = [
     ("mag_count", "i8"),
     ("mag_s", "f8"),
     ("mag_field_ut", "f8", 3),
+    ("mag_turning_ut_s", "f8", 3),
     ("mag_dcm", "f8", (3, 3)),
     ("reference_ut", "f8", 2),
     ("reference_s", "f8"),
     ("other_ut", "f8", 2),
     ("other_s", "f8"),
     *hard_iron.IRON_FIELDS,
+    *field_lag.LAG_FIELDS,
 ]
 """Fields of the pipeline's state: where the heading comes from; count, time [s] and sums of
-field (earth axes) and matrix since the last correction; the field taken for undisturbed
-(horizontal, down) with the time it was averaged, and the candidate to replace it."""
+field, of what it turns by (earth axes) and of the matrix since the last correction; the field
+taken for undisturbed (horizontal, down) with the time it was averaged, and the candidate to
+replace it."""
 
 NONE: Final = 0
 FIELD: Final = 1
@@ -103,6 +108,7 @@ def find(settings: Record, state: Record) -> None:
     state["reference_ut"][0], state["reference_ut"][1] = math.sqrt(horizontal2), down
     state["reference_s"] = state["other_s"] = 0.0
     hard_iron.start(state)
+    field_lag.start(state)
     if state["heading_source"] == NONE:
         turn_about_down(state, settings["declination_rad"] - math.atan2(east, north))
         variance = min(FIRST_SIGMA_RAD**2 + _by_tilt(state), math.pi**2)
@@ -116,7 +122,7 @@ def begin_average(state: Record) -> None:
     state["mag_s"] = 0.0
     state["mag_count"] = 0
     for i in range(3):
-        state["mag_field_ut"][i] = 0.0
+        state["mag_field_ut"][i] = state["mag_turning_ut_s"][i] = 0.0
         for j in range(3):
             state["mag_dcm"][i, j] = 0.0
 
@@ -136,10 +142,13 @@ def gather(state: Record, mag: Floats, dt_s: float) -> None:
     state["mag_s"] += dt_s
     if not abs(mag[0]) + abs(mag[1]) + abs(mag[2]) < SENSOR_MAX_UT:
         return
-    dcm, sums = state["dcm"], state["mag_dcm"]
+    dcm, sums, rate, iron = state["dcm"], state["mag_dcm"], state["rate_rad_s"], state["iron_ut"]
+    a, b, c = mag[0] - iron[0], mag[1] - iron[1], mag[2] - iron[2]
+    x, y, z = rate[1] * c - rate[2] * b, rate[2] * a - rate[0] * c, rate[0] * b - rate[1] * a
     state["mag_count"] += 1
     for i in range(3):
         state["mag_field_ut"][i] += dcm[i, 0] * mag[0] + dcm[i, 1] * mag[1] + dcm[i, 2] * mag[2]
+        state["mag_turning_ut_s"][i] += dcm[i, 0] * x + dcm[i, 1] * y + dcm[i, 2] * z
         for j in range(3):
             sums[i, j] += dcm[i, j]
 
@@ -157,6 +166,10 @@ def _take_average(settings: Record, state: Record) -> None:
     """Judge the field averaged over the turn and correct the heading by its azimuth."""
     share, dt_s = 1.0 / state["mag_count"], min(state["mag_s"], CORRELATION_S)
     field, dcm, iron = state["mag_field_ut"], state["mag_dcm"], state["iron_ut"]
+    turning, lag_s = state["mag_turning_ut_s"], state["field_lag_s"]
+    field_lag.learn(state, field, turning, dcm, share, state["mag_s"])
+    for i in range(3):
+        field[i] -= lag_s * turning[i]
     hard_iron.gather(state, field, dcm, share, state["mag_s"])
     north, east, down = field[0] * share, field[1] * share, field[2] * share
     misfit2 = _misfit2(state, north, east, down)
@@ -169,6 +182,7 @@ def _take_average(settings: Record, state: Record) -> None:
         north, east, down = freed_north, freed_east, freed_down
         misfit2 = freed2
         hidden2 = _hidden2(state, freed2) + _iron_across2(state, north, east, share)
+    hidden2 += _lag_across2(state, north, east, share)
     if not misfit2 < math.inf:
         # Damaged saved bytes: begin anew.
         state["heading_source"] = NONE
@@ -233,6 +247,16 @@ def _iron_across2(state: Record, north: float, east: float, share: float) -> flo
             c * dcm[1, 2] - s * dcm[0, 2],
         ),
     )
+
+
+@kernel
+def _lag_across2(state: Record, north: float, east: float, share: float) -> float:
+    """Variance of what the lag turns across the field's meridian [uT^2]."""
+    turning, horizontal2 = state["mag_turning_ut_s"], north * north + east * east
+    if horizontal2 == 0.0:
+        return 0.0
+    across = share * (north * turning[1] - east * turning[0])
+    return float(state["field_lag_variance_s2"] * across * across / horizontal2)
 
 
 @kernel

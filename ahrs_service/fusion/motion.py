@@ -32,8 +32,9 @@ MOTION_FIELDS: Final = [
 DRAG_SHARE: Final = 0.3
 """By how much T may be wrong: size and loading differ within a class."""
 DRAG_LARGE: Final = 4.0
-"""So many sigmas of the class are no velocity any more: a vehicle that is tilted by hand shows
-gravity along its axes, as drag would at some 20 m/s."""
+"""So many sigmas of the class are doubted where the velocity integrated is as far from them: a
+vehicle that is tilted by hand shows gravity along its axes, as drag would at some 20 m/s, but does
+not move; one that flies fast does."""
 TRIM_CORRELATION_S: Final = 60.0
 """What the bounds are wrong by, trim and mounting, stays; beside a measured velocity it shows."""
 AIRSPEED_SIGMA_M_S: Final = 2.0
@@ -88,7 +89,8 @@ def bound_velocity(settings: Record, state: Record, airframe: int, dt_s: float) 
             level = -STANDARD_GRAVITY_M_S2 if i == 2 else 0.0
             by_drag = -drag_s * (state["turn_force_m_s"][i] / state["turn_force_s"] - level)
             expected += by_drag
-            large = by_drag * by_drag / (DRAG_LARGE * sigma)
+            unlike = expected - _speed_along(state, i)
+            large = min(by_drag * by_drag, unlike * unlike) / (DRAG_LARGE * sigma)
             sigma = math.sqrt(sigma * sigma + (DRAG_SHARE * by_drag) ** 2 + large * large)
             h[ACCEL_BIAS + i] = -drag_s
         if measured:
@@ -101,6 +103,14 @@ def bound_velocity(settings: Record, state: Record, airframe: int, dt_s: float) 
     sigma = settings["climb_sigma_m_s"][airframe]
     variance = sigma * sigma * max(1.0, settings["climb_correlation_s"][airframe] / dt_s)
     correct_state(state, VELOCITY + 2, -state["velocity_ned_m_s"][2], variance)
+
+
+@inlined_kernel
+def _speed_along(state: Record, i: int) -> float:
+    """Return the velocity through the air along body axis `i` [m/s], as it was integrated."""
+    velocity, wind, dcm = state["velocity_ned_m_s"], state["wind_ned_m_s"], state["dcm"]
+    north, east = velocity[0] - wind[0], velocity[1] - wind[1]
+    return float(dcm[0, i] * north + dcm[1, i] * east + dcm[2, i] * velocity[2])
 
 
 @inlined_kernel

@@ -1,4 +1,4 @@
-"""What no sensor can have measured, and what it has clipped, before the filter sees it."""
+"""What no sensor can have measured, and what it has clipped or left as it was."""
 
 from typing import Final
 
@@ -17,13 +17,48 @@ IMPOSSIBLE_FORCE_M_S2: Final = 1e4
 SPIKE_RATE_RAD_S: Final = 10.0
 """No airframe changes its rate by this much between two samples [rad/s]."""
 
-PLAUSIBILITY_FIELDS: Final = [("spikes", "i8"), ("spike_time_ns", "i8")]
-"""Fields of the pipeline's state that this module keeps."""
+STUCK_SAMPLES: Final = 10
+"""An axis that shows the very same number so often while another one moves is stuck: at rest coarse
+readings of BROAD do so up to 11 times, in turns up to 4."""
+TURNING_RAD_S: Final = 0.2
+
+PLAUSIBILITY_FIELDS: Final = [
+    ("spikes", "i8"),
+    ("spike_time_ns", "i8"),
+    ("raw_before_rad_s", "f8", 3),
+    ("repeats", "i8", 3),
+    ("gyro_is_blind", "i8", 3),
+    ("blind_s", "f8", 3),
+]
+"""Fields of the pipeline's state that this module keeps; the last: how often each axis of the gyro
+showed the number before again, whether it clips or is stuck, and for how long it was [s]."""
+
+
+@inlined_kernel
+def _find_blind(state: Record, raw: Floats, range_rad_s: float) -> bool:
+    """Find axes of the gyro that clip, or stood still while the vehicle turned; whether any is."""
+    before, repeats, blind = state["raw_before_rad_s"], state["repeats"], state["gyro_is_blind"]
+    moved = raw[0] != before[0] or raw[1] != before[1] or raw[2] != before[2]
+    turns = raw[0] * raw[0] + raw[1] * raw[1] + raw[2] * raw[2] > TURNING_RAD_S**2
+    found = False
+    for i in range(3):
+        if raw[i] != before[i]:
+            repeats[i] = 0
+        elif moved:
+            repeats[i] += 1
+        before[i] = raw[i]
+        # Exactly 0 is an axis of a simulation that nothing turns about.
+        stuck = turns and repeats[i] >= STUCK_SAMPLES and raw[i] != 0.0
+        blind[i] = 1 if stuck or abs(raw[i]) >= range_rad_s else 0
+        if blind[i] == 0:
+            state["blind_s"][i] = 0.0
+        found = found or blind[i] != 0
+    return found
 
 
 @inlined_kernel
 def check(settings: Record, state: Record, sample: Record, gyro: Floats, accel: Floats) -> int:
-    """Find clipped, missing and impossible values; a single impossible rate is held back."""
+    """Find clipped, stuck, missing and impossible values; a single impossible rate is held back."""
     flags = 0
     gyro_finite = accel_finite = True
     clipped = False
@@ -31,12 +66,11 @@ def check(settings: Record, state: Record, sample: Record, gyro: Floats, accel: 
     for i in range(3):
         gyro_finite = gyro_finite and abs(gyro[i]) < IMPOSSIBLE_RATE_RAD_S
         accel_finite = accel_finite and abs(accel[i]) < IMPOSSIBLE_FORCE_M_S2
-        clipped = clipped or abs(sample["gyro_rad_s"][i]) >= settings["gyro_range_rad_s"]
         clipped = clipped or abs(sample["accel_m_s2"][i]) >= settings["accel_range_m_s2"]
         jump2 += (gyro[i] - state["rate_rad_s"][i] - state["gyro_bias_rad_s"][i]) ** 2
     if not gyro_finite:
         return _NOT_FINITE
-    if clipped:
+    if _find_blind(state, sample["gyro_rad_s"], settings["gyro_range_rad_s"]) or clipped:
         flags |= _SATURATED
     if not accel_finite:
         flags |= _ACCEL_MISSING

@@ -41,6 +41,7 @@ PROPAGATION_FIELDS: Final = [
     ("force_now_ned_m_s2", "f8", 3),
     ("arc_force_m_s2", "f8", 3),
     ("interval_before_s", "f8"),
+    ("turn_blind_variance", "f8", 3),
     ("applied", "f8", ERROR_STATES),
     ("turned_rad", "f8"),
 ]
@@ -51,6 +52,9 @@ TURN_S: Final = 0.12
 """Corrections 8 times a second follow what drifts over seconds; shorter turns gain nothing."""
 GAP_RATE_SIGMA_RAD_S: Final = 1.0
 """What a small UAV may have turned, per second that no sample came [rad/s]."""
+RATE_CORRELATION_S: Final = 0.4
+"""How long a small UAV turns the same way [s]. Of a Markov rate known at both ends of a gap T the
+turn is known too: the mean of both times 2 tau tanh(T / (2 tau))."""
 GAP_FORCE_SIGMA_M_S2: Final = 3.0
 """And how it may have accelerated [m/s^2]."""
 ALIASED: Final = 1.0 / 36.0
@@ -65,6 +69,7 @@ ACCEL_BIAS_WALK: Final = 1e-3
 
 _GAP = int(Flag.GAP)
 _ACCEL_MISSING = int(Flag.ACCEL_MISSING)
+_SATURATED = int(Flag.SATURATED)
 
 
 @inlined_kernel
@@ -86,14 +91,19 @@ def move(
     earlier, dcm = state["rate_earlier_rad_s"], state["dcm"]
     unknown2, rate2 = _take_rate(state, gyro, dt_s)
     state["turn_angle_variance"] += settings["gyro_scale_error_rts"] ** 2 * rate2 * dt_s
+    before_s, turned_s = state["interval_before_s"], dt_s
+    is_mean = settings["samples_are_means"] != 0
+    state["interval_before_s"] = dt_s
     if flags & _GAP:
         state["turn_angle_variance"] += (GAP_RATE_SIGMA_RAD_S * dt_s) ** 2
-        state["interval_before_s"] = 0.0
+        before_s = state["interval_before_s"] = 0.0
+        is_mean = False
+        turned_s = 2.0 * RATE_CORRELATION_S * math.tanh(0.5 * dt_s / RATE_CORRELATION_S)
     else:
         state["turn_shake_variance"] += unknown2 * dt_s * dt_s
-        before_s, is_mean = state["interval_before_s"], settings["samples_are_means"] != 0
-        state["interval_before_s"] = dt_s
-        strapdown.rotate(state["ned_from_body"], earlier, before, rate, before_s, dt_s, is_mean)
+    strapdown.rotate(state["ned_from_body"], earlier, before, rate, before_s, turned_s, is_mean)
+    if flags & _SATURATED:
+        _count_blind(state, dt_s)
     pull_per_s = 1.0 / (settings["smoothing_s"] + dt_s)
     _smooth_rate(state, rate, pull_per_s, dt_s)
     matrix(state["ned_from_body"], dcm)
@@ -107,6 +117,17 @@ def move(
         norm2 = _average_force(state, accel, pull_per_s * dt_s)
         if settings["use_velocity"] != 0:
             _move_velocity(settings, state, airframe, accel, dt_s, norm2)
+
+
+@kernel
+def _count_blind(state: Record, dt_s: float) -> None:
+    """Widen the angle about an axis whose rate is not known, and stays so: by time squared."""
+    for i in range(3):
+        before_s = state["blind_s"][i]
+        if state["gyro_is_blind"][i] != 0:
+            state["blind_s"][i] = before_s + dt_s
+            grown_s2 = dt_s * (2.0 * before_s + dt_s)
+            state["turn_blind_variance"][i] += GAP_RATE_SIGMA_RAD_S**2 * grown_s2
 
 
 @inlined_kernel
@@ -223,8 +244,13 @@ def grow(settings: Record, state: Record, degc: float, is_compensated: bool) -> 
     if is_compensated:
         per_rtdegc = settings["compensated_bias_per_rtdegc_rad_s"]
     bias += per_rtdegc**2 * _warmed(state, degc)
+    dcm, blind = state["dcm"], state["turn_blind_variance"]
     for i in range(3):
         p[i, i] += angle
+        if blind[i] > 0.0:
+            for j in range(3):
+                for k in range(3):
+                    p[j, k] += blind[i] * dcm[j, i] * dcm[k, i]
         p[GYRO_BIAS + i, GYRO_BIAS + i] += bias
         if states > GATED:
             p[VELOCITY + i, VELOCITY + i] += state["turn_velocity_variance"]
@@ -253,6 +279,7 @@ def begin_turn(state: Record) -> None:
     state["turn_bias_variance"] = 0.0
     state["turn_force_s"] = 0.0
     for i in range(3):
+        state["turn_blind_variance"][i] = 0.0
         state["turn_impulse_m_s"][i] = 0.0
         state["turn_gyro_rad"][i] = 0.0
         state["turn_force_m_s"][i] = 0.0

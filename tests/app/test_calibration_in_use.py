@@ -246,6 +246,15 @@ def test_a_unit_without_a_calibration_flies_on_without(live, flight_frames, tmp_
     assert len(served.rows)
 
 
+@pytest.mark.parametrize("calibration", ["", "none"])
+def test_who_wants_no_calibration_hears_of_none(live, flight_frames, tmp_path, calibration):
+    frames = [flight_frames[0], version(), *flight_frames[1:500]]
+    served = serve(live, tmp_path, SensorSettings(calibration=calibration), frames)
+    assert served.daemon.component.unit == UNIT.hex()
+    warnings = [text for level, text in served.said if level == "warning"]
+    assert not [text for text in warnings if "no calibration for unit" in text]
+
+
 def test_a_file_of_another_unit_is_used_as_told_and_warned_of(live, flight_frames, tmp_path):
     frames = [flight_frames[0], version(b"", 0xAB), *flight_frames[1:500]]
     sensor = SensorSettings(calibration=str(SHIPPED / "sim-1.toml"))

@@ -112,7 +112,11 @@ def test_what_the_real_recording_has_and_the_simulated_lacks_is_said(tmp_path, c
 
 @pytest.mark.parametrize(
     ("name", "words"),
-    [("missing.tlog", "no such file"), ("notes.txt", "is no log format")],
+    [
+        ("missing.tlog", "no such file"),
+        ("notes.txt", "is no log format"),
+        (".", "is a folder; give a recording"),
+    ],
 )
 def test_a_recording_that_cannot_be_read_is_told(name, words, tmp_path, capsys):
     path = tmp_path / name

@@ -111,3 +111,8 @@ def test_the_true_parameters_have_all_of_the_oracle_s_gain():
     assert gain_share(case, {"effects": findings}) > 0.99
     assert gain_share(case, {"effects": findings[:1]}) == pytest.approx(0.5, abs=0.02)
     assert not any(added.any() for added in modelled(case, {"effects": []}))
+
+
+def test_recordings_too_short_to_hide_in_are_refused(capsys):
+    assert main(["prove", "--count", "4", "--seconds", "1"]) == 2
+    assert "--seconds 1: too short" in capsys.readouterr().err

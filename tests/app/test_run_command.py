@@ -258,7 +258,7 @@ def test_errors_are_clear(arguments, code, says, files, capsys):
         (["fly"], "invalid choice: 'fly' .*'demo', 'run'"),
         (["run", "--seconds", "0"], "0 is not a number above 0"),
         (["run", "--seconds", "nan"], "nan is not a number above 0"),
-        (["run", "--viewer", "high"], "invalid int value: 'high'"),
+        (["run", "--viewer", "high"], "high is not a port"),
         (["run", "--speed", "1"], "unrecognized arguments: --speed 1"),
         (["replay"], "required: LOG"),
         (["play", "x.tlog"], "required: --link"),

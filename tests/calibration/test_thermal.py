@@ -123,6 +123,14 @@ def test_temperatures_that_say_nothing_are_refused(change, words):
         calibrate_thermal([columns], Calibration.ideal())
 
 
+def test_a_handful_of_still_windows_is_refused():
+    """As of a flight, of which nothing but the start is still."""
+    short = bench().part(0, round(8.0 * RATE_HZ))
+    short.temperature_degc[:] = np.linspace(20.0, 30.0, len(short.time_s))
+    with pytest.raises(CalibrationError, match="windows are still, 10 are the least"):
+        calibrate_thermal([short], Calibration.ideal())
+
+
 def test_milli_g_for_metres_is_refused():
     columns = bench()
     columns.accel_m_s2[:] *= 1000.0 / 9.80665

@@ -13,6 +13,7 @@ from ahrs_service.rotation import (
     euler_columns,
     inverse_columns,
     multiply_columns,
+    quaternion_columns,
     rotate_columns,
 )
 from ahrs_service.sensor.parameters import Calibration, coefficients
@@ -46,6 +47,40 @@ def tumble(seconds, still_s=3.0, yaw=0.0, bias=(0.0, 0.0, 0.0)):
     samples = empty(SAMPLE_DTYPE, count)
     samples["time_ns"] = np.rint(t * 1e9).astype(np.int64) + 10**9
     samples["gyro_rad_s"] = rate + np.asarray(bias)
+    samples["accel_m_s2"] = in_body(attitude, np.array([0.0, 0.0, -G]))
+    samples["mag_ut"] = in_body(attitude, FIELD_NED)
+    return samples, attitude
+
+
+def spin(seconds, still_s=3.0):
+    """Samples of a sensor in a hand that turns it over and over, mostly one way, and its attitude.
+
+    Exact for means of the rate: its integral over a sample by Simpson's rule.
+    """
+    t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+
+    def angles(t):
+        run = np.maximum(t - still_s, 0.0)
+        run = run**3 / (1.0 + run**2)
+        return np.stack([1.4 * np.sin(3.0 * run), 1.1 * np.sin(2.2 * run), 4.0 * run], axis=1)
+
+    def rate(t):
+        roll, pitch, _ = angles(t).T
+        by_roll, by_pitch, by_yaw = ((angles(t + 1e-5) - angles(t - 1e-5)) / 2e-5).T
+        across = np.cos(pitch) * by_yaw
+        return np.stack(
+            [
+                by_roll - np.sin(pitch) * by_yaw,
+                np.cos(roll) * by_pitch + np.sin(roll) * across,
+                np.cos(roll) * across - np.sin(roll) * by_pitch,
+            ],
+            axis=1,
+        )
+
+    samples, attitude = empty(SAMPLE_DTYPE, len(t)), quaternion_columns(angles(t))
+    samples["time_ns"] = np.rint(t * 1e9).astype(np.int64) + 10**9
+    step = 1.0 / RATE_HZ
+    samples["gyro_rad_s"] = (rate(t) + 4.0 * rate(t - 0.5 * step) + rate(t - step)) / 6.0
     samples["accel_m_s2"] = in_body(attitude, np.array([0.0, 0.0, -G]))
     samples["mag_ut"] = in_body(attitude, FIELD_NED)
     return samples, attitude
@@ -103,6 +138,42 @@ def test_attached_magnet_is_found_and_taken_out(iron):
     np.testing.assert_allclose(state["iron_ut"][0], iron, atol=0.5)
     error = heading_error(estimates, attitude)
     assert np.abs(error[at(30.0) :]).max() < np.radians(2.0)
+
+
+@pytest.mark.parametrize(
+    ("late_s", "every", "lag_s", "error_deg"),
+    [(0.0, 1, 0.001, 0.3), (0.02, 1, 0.001, 0.5), (0.06, 10, 0.008, 3.0)],
+)
+def test_lag_of_the_magnetometer_is_learnt(late_s, every, lag_s, error_deg):
+    """At 5 rad/s; the last turns by 0.3 rad in its lag, where the correction is not small."""
+    samples, attitude = spin(60.0)
+    field = samples["mag_ut"].copy()
+    samples["mag_ut"] = np.nan
+    samples["mag_ut"][at(late_s) :: every] = field[: len(field) - at(late_s) : every]
+    estimates, state = run(samples)
+    assert state["field_lag_s"][0] == pytest.approx(late_s, abs=lag_s)
+    assert state["field_lag_variance_s2"][0] ** 0.5 < 0.005
+    assert np.abs(heading_error(estimates, attitude)[at(10.0) :]).max() < np.radians(error_deg)
+
+
+def test_lag_is_told_from_a_magnet_that_turns_with_the_sensor():
+    samples, _ = spin(90.0)
+    samples["mag_ut"][at(0.03) :] = samples["mag_ut"][: -at(0.03)].copy()
+    samples["mag_ut"] += (5.0, -8.0, 10.0)
+    _, state = run(samples)
+    np.testing.assert_allclose(state["iron_ut"][0], (5.0, -8.0, 10.0), atol=0.5)
+    assert state["field_lag_s"][0] == pytest.approx(0.03, abs=0.004)
+
+
+@pytest.mark.parametrize("yaw", [0.7, 2.9])
+def test_lag_is_the_same_wherever_north_is(yaw):
+    samples, _ = spin(20.0)
+    rng = np.random.default_rng(5)
+    samples["mag_ut"][at(0.02) :] = samples["mag_ut"][: -at(0.02)].copy()
+    samples["mag_ut"] += rng.standard_t(3, samples["mag_ut"].shape)
+    _, state = run(samples)
+    _, turned = run(samples, declination_deg=np.degrees(yaw))
+    assert turned["field_lag_s"][0] == pytest.approx(state["field_lag_s"][0], rel=1e-6)
 
 
 def test_removed_magnet_is_forgotten():
@@ -234,7 +305,9 @@ def test_a_field_straight_down_leaves_numbers():
     assert estimates["attitude_sigma_rad"][-1, 2] > 1.0
 
 
-@pytest.mark.parametrize("field", ["reference_ut", "iron_ut", "iron_covariance", "mag_field_ut"])
+@pytest.mark.parametrize(
+    "field", ["reference_ut", "iron_ut", "iron_covariance", "mag_field_ut", "field_lag_s"]
+)
 def test_damaged_state_begins_anew(field):
     samples, attitude = tumble(20.0)
     _, state = run(samples[: at(10.0)])

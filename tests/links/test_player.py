@@ -205,4 +205,4 @@ def test_errors_are_one_line(
 def test_a_speed_of_nothing_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["play", "log.tlog", "--link", "tcp:127.0.0.1:1", "--speed", "0"])
-    assert "0 is not above 0" in capsys.readouterr().err
+    assert "0 is not a number above 0" in capsys.readouterr().err

@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from ahrs_service.app import calibration_file
+from ahrs_service.app import calibration_file, options
 from ahrs_service.app.calibrate.capture import Capture
 from ahrs_service.app.config_file import ConfigError
 from ahrs_service.calibration.triad import NAMES, TriadFit, vector
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add where the calibration goes."""
     parser.add_argument(
         "--out",
-        type=Path,
+        type=options.new_file,
         metavar="FILE",
         help="the unit's calibration (.toml); what this procedure finds replaces that part of an "
         "existing file",

@@ -37,11 +37,11 @@ def fit_chosen(rows: ThermalRows, zero_degc: float) -> tuple[Axes, float]:
 
 
 def halves(rows: ThermalRows) -> Integers:
-    """Return 0 or 1 for each row [N]: the tenths of each session in turn."""
+    """Return 0 or 1 for each row [N]: the tenths of each session in turn, or its rows if fewer."""
     half = np.empty(len(rows), np.int64)
     for number in np.unique(rows.session):
         own = np.flatnonzero(rows.session == number)
-        half[own] = np.arange(len(own)) * TENTHS // len(own) % 2
+        half[own] = np.arange(len(own)) * min(TENTHS, len(own)) // len(own) % 2
     return half
 
 

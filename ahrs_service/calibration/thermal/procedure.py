@@ -20,7 +20,7 @@ from ahrs_service.calibration.columns import (
 )
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.thermal.coloured import Hysteresis, hysteresis
-from ahrs_service.calibration.thermal.held_out import HeldOut, hold_out
+from ahrs_service.calibration.thermal.held_out import TENTHS, HeldOut, hold_out
 from ahrs_service.calibration.thermal.poses import joined, still_rows
 from ahrs_service.calibration.thermal.rows import ThermalRows
 from ahrs_service.calibration.thermal.smooth import SmoothFit, fit_smooth, smooth_calibration
@@ -43,6 +43,8 @@ PROCEDURE: Final = "thermal"
 LEAST_SPAN_K: Final = 2.0
 """Below this a recording shows the sensor's noise and no temperature [K]."""
 BIN_DEGC: Final = 5.0
+LEAST_ROWS: Final = TENTHS
+"""One in each part that is held out: fewer tell nothing of time not seen."""
 
 _SIGMA_NODES: Final = 8
 _SIGNIFICANT: Final = 3.0
@@ -88,6 +90,11 @@ def calibrate_thermal(
         name: joined([part[n] for part in parts], same_levels=False)
         for n, name in enumerate(("gyro", "accel"))
     }
+    if len(rows["gyro"]) < LEAST_ROWS:
+        raise CalibrationError(
+            f"only {len(rows['gyro'])} windows are still, {LEAST_ROWS} are the least: put the unit "
+            "down and record for some minutes while its temperature changes"
+        )
     zero_degc = _zero(room, rows["gyro"].span_degc)
     gyro, accel = (_fit(one, zero_degc) for one in rows.values())
     calibration = replace(

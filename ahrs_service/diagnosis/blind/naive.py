@@ -141,7 +141,7 @@ def _probes(effect: Effect) -> list[tuple[dict[str, Floats], float]]:
 
 
 def _regressor(columns: Columns, effect: Effect, values: Values, step: float) -> Floats:
-    if effect.name == "saturation":
+    if effect.is_limit:
         # Its grid is of shares of the largest reading.
         values = {"limit": values["limit"] * np.abs(effect.ideal(columns)).max()}
     added: Addition = effect.add(columns, values)

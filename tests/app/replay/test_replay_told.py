@@ -36,6 +36,11 @@ def test_a_log_without_imu_is_refused_with_what_it_has(tmp_path, capsys):
     assert "ATTITUDE 240" in message
 
 
+def test_a_folder_without_recordings_is_refused(tmp_path, capsys):
+    assert replay(tmp_path) == 1
+    assert f"{tmp_path}: the folder holds no recording" in capsys.readouterr().err
+
+
 def test_a_vehicle_that_is_not_there_is_refused_with_the_setting(flight, capsys):
     assert replay(flight, "--set", "intake.system=42") == 1
     assert "intake.system = 42" in capsys.readouterr().err
