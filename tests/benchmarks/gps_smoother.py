@@ -64,6 +64,18 @@ START = np.concatenate(
     [[0.5] * 2, [3.0], [5.0] * 3, [20.0], [0.05] * 3, [0.1] * 3, [0.005] * 9, [0.02] * 3, [0.2]]
 )
 """1-sigma [STATES] at the begin; after a gap of the samples, those of the first seven again."""
+ONE_DIE = 0.92
+"""Correlation of G's elements ij and ji: it leaves 1 mrad for a turn of the gyros against the
+accelerometers of the same die. More would be a turn of the mounting, which no GPS can tell."""
+
+
+def first_covariance() -> Floats:
+    """Covariance [STATES, STATES] at the begin."""
+    first = np.diag(START**2)
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        a, b = MATRIX + 3 * i + j, MATRIX + 3 * j + i
+        first[a, b] = first[b, a] = ONE_DIE * START[a] * START[b]
+    return first
 
 
 @njit(cache=True)
@@ -176,7 +188,7 @@ def _forward(
     accel: Floats,
     white: Floats,
     mean: Floats,
-    start: Floats,
+    first: Floats,
     out: tuple[Floats, Floats, Floats, Floats, Floats],
 ) -> None:
     """Kalman filter of the error state around the trajectory `rs`, `xs` [K].
@@ -184,7 +196,7 @@ def _forward(
     Writes F [K, S, S], means and covariances before each fix, and after it.
     """
     fs, before, p_before, after, p_after = out
-    d, p = mean.copy(), np.diag(start**2)
+    d, p = mean.copy(), first.copy()
     for k in range(len(xs)):
         drive = white**2 * span[k]
         if k > 0:
@@ -192,7 +204,7 @@ def _forward(
             if new[k]:
                 # What lay between is not known: only what changes slowly is carried over.
                 fs[k] = np.diag((np.arange(STATES) >= GYRO) * 1.0)
-                drive[:GYRO] = start[:GYRO] ** 2
+                drive[:GYRO] = np.diag(first)[:GYRO]
                 defect[:GYRO] = 0.0
             else:
                 rows = slice(begin[k - 1], begin[k])
@@ -278,7 +290,8 @@ class GpsSmoother:
             good = known[:, m]
             if good.any():
                 xs[:, VEL + m] = np.interp(self.node_s, self.node_s[good], fix[good, m])
-        white, span = _white(noise), np.diff(self.node_s, prepend=self.node_s[0])
+        first, white = first_covariance(), _white(noise)
+        span = np.diff(self.node_s, prepend=self.node_s[0])
         weight, velocity = np.ones(count), noise.fix_velocity
         for _ in range(steps):
             sigma = np.where(known, velocity / np.sqrt(weight)[:, None], np.inf)
@@ -287,7 +300,7 @@ class GpsSmoother:
             mean = -xs[0]
             mean[VEL:GYRO] = 0.0
             out = _arrays(count)
-            _forward(*self._steps, rs, xs, span, fix, sigma, accel, white, mean, START, out)
+            _forward(*self._steps, rs, xs, span, fix, sigma, accel, white, mean, first, out)
             _backward(*out)
             change, covariance = out[3], out[4]
             rs = np.stack([_exp(*phi) @ r for phi, r in zip(change[:, :3], rs, strict=True)])
