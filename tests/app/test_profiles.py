@@ -207,7 +207,8 @@ def test_estimate_with_a_profile_is_estimate_with_its_settings(given, tmp_path, 
     assert by_name == estimated(given, tmp_path / "each.npz", *overrides)
     by_file = estimated(given, tmp_path / "f.npz", "--profile", str(profiles.file_of(name)))
     assert by_name == by_file
-    assert by_name["quat"] != estimated(given, tmp_path / "none.npz")["quat"]
+    other = "hand_held" if name == "ground_test" else "ground_test"
+    assert by_name["quat"] != estimated(given, tmp_path / "o.npz", "--profile", other)["quat"]
 
 
 def test_replay_with_a_profile_holds_it_against_the_recordings_own(tmp_path, capsys):
