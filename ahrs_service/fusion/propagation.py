@@ -52,9 +52,6 @@ TURN_S: Final = 0.12
 """Corrections 8 times a second follow what drifts over seconds; shorter turns gain nothing."""
 GAP_RATE_SIGMA_RAD_S: Final = 1.0
 """What a small UAV may have turned, per second that no sample came [rad/s]."""
-RATE_CORRELATION_S: Final = 0.4
-"""How long a small UAV turns the same way [s]. Of a Markov rate known at both ends of a gap T the
-turn is known too: the mean of both times 2 tau tanh(T / (2 tau))."""
 GAP_FORCE_SIGMA_M_S2: Final = 3.0
 """And how it may have accelerated [m/s^2]."""
 ALIASED: Final = 1.0 / 36.0
@@ -97,8 +94,7 @@ def move(
     if flags & _GAP:
         state["turn_angle_variance"] += (GAP_RATE_SIGMA_RAD_S * dt_s) ** 2
         before_s = state["interval_before_s"] = 0.0
-        is_mean = False
-        turned_s = 2.0 * RATE_CORRELATION_S * math.tanh(0.5 * dt_s / RATE_CORRELATION_S)
+        turned_s = 0.0
     else:
         state["turn_shake_variance"] += unknown2 * dt_s * dt_s
     strapdown.rotate(state["ned_from_body"], earlier, before, rate, before_s, turned_s, is_mean)
