@@ -278,7 +278,7 @@ def _airframe(settings: Record, sample: Record) -> int:
 @inlined_kernel
 def take(
     settings: Record,
-    coefficients: Rows,
+    coefficients: Record,
     state: Record,
     sample: Record,
     out: Record,
@@ -364,7 +364,7 @@ def _move(
 @kernel
 def step(parameters: Rows, coefficients: Rows, state: Rows, sample: Rows, estimate: Rows) -> None:
     """Take one sample [1], move `state` [1] on and write the estimate [1]."""
-    take(parameters[0], coefficients, state[0], sample[0], estimate[0], None)
+    take(parameters[0], coefficients[0], state[0], sample[0], estimate[0], None)
 
 
 @kernel
@@ -373,4 +373,4 @@ def batch(
 ) -> None:
     """Take `samples` [N] one after the other and write `estimates` [N]: the same as N steps."""
     for n in range(samples.shape[0]):
-        take(parameters[0], coefficients, state[0], samples[n], estimates[n], None)
+        take(parameters[0], coefficients[0], state[0], samples[n], estimates[n], None)

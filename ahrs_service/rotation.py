@@ -33,8 +33,8 @@ def from_rotation_vector(x: float, y: float, z: float) -> Quaternion:
     angle2 = x * x + y * y + z * z
     if angle2 < 0.01:
         # The first terms left out are angle^8 / 1e7 and angle^8 / 2e8.
-        w = 1.0 - angle2 * (1.0 / 8.0 - angle2 * (1.0 / 384.0 - angle2 / 46080.0))
-        scale = 0.5 - angle2 * (1.0 / 48.0 - angle2 * (1.0 / 3840.0 - angle2 / 645120.0))
+        w = 1.0 - angle2 * (1.0 / 8.0 - angle2 * (1.0 / 384.0 - angle2 * (1.0 / 46080.0)))
+        scale = 0.5 - angle2 * (1.0 / 48.0 - angle2 * (1.0 / 3840.0 - angle2 * (1.0 / 645120.0)))
     else:
         angle = math.sqrt(angle2)
         w = math.cos(0.5 * angle)

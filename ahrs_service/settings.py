@@ -173,7 +173,7 @@ class AirframeSettings:
 
 
 FIXED_WING = AirframeSettings(
-    forward_speed_m_s=12.0,
+    forward_speed_m_s=15.0,
     velocity_sigma_m_s=(6.0, 1.5, 0.75),
     velocity_correlation_s=(60.0, 2.0, 2.0),
     drag_s=(0.0, 1.5, 0.2),
@@ -209,7 +209,7 @@ HAND_HELD = AirframeSettings(
     climb_sigma_m_s=1.0,
     climb_correlation_s=1.0,
     accel_noise_m_s2=0.5,
-    velocity_noise_m_s_rts=0.05,
+    velocity_noise_m_s_rts=0.02,
     accel_scale_error=0.005,
     accel_bias_sigma_m_s2=0.0,
     gyro_matrix_sigma=0.004,

@@ -37,7 +37,7 @@ def record(
     """
     for n in range(samples.shape[0]):
         pair = nodes[used - 1 : used + 1]
-        pipeline.take(parameters[0], coefficients, state[0], samples[n], estimates[n], pair)
+        pipeline.take(parameters[0], coefficients[0], state[0], samples[n], estimates[n], pair)
         used += tape.close(state[0], pair[1], first + n)
     return used
 

@@ -9,12 +9,13 @@ come is a state as well: v_measured(t) = v(t - lag), compared with the velocity 
 import math
 from typing import Final
 
-import numpy as np
-
 from ahrs_service.fusion import heading, mekf
 from ahrs_service.fusion.states import AIDED, ANGLE, ERROR_STATES, LAG, UNAIDED, VELOCITY, WIND
 from ahrs_service.kernel import inlined_kernel, kernel
-from ahrs_service.records import Airframe, Floats, Record
+from ahrs_service.records import Airframe, Record
+
+Velocity = tuple[float, float, float]
+"""North, east, down [m/s]."""
 
 HISTORY: Final = 32
 """Turns that are remembered: 3.8 s."""
@@ -146,22 +147,23 @@ def _let_go(state: Record) -> None:
 
 
 @kernel
-def _velocity_at(state: Record, time_ns: int, out: Floats) -> bool:
-    """Velocity [3] at a past time, between two turns; False where it is not remembered."""
-    times, velocities = state["history_time_ns"], state["history_m_s"]
+def _velocity_at(state: Record, time_ns: int) -> tuple[bool, Velocity]:
+    """Whether a past time lies between two turns that are remembered, and the velocity then."""
+    times, v = state["history_time_ns"], state["history_m_s"]
     after = (state["history_next"] - 1) % HISTORY
     for _ in range(HISTORY - 1):
         before = (after - 1) % HISTORY
         if times[before] == 0 or times[after] <= times[before]:
-            return False
+            break
         if times[before] <= time_ns <= times[after]:
             share = (time_ns - times[before]) / (times[after] - times[before])
-            for i in range(3):
-                step = velocities[i, after] - velocities[i, before]
-                out[i] = velocities[i, before] + share * step
-            return True
+            return True, (
+                v[0, before] + share * (v[0, after] - v[0, before]),
+                v[1, before] + share * (v[1, after] - v[1, before]),
+                v[2, before] + share * (v[2, after] - v[2, before]),
+            )
         after = before
-    return False
+    return False, (0.0, 0.0, 0.0)
 
 
 @inlined_kernel
@@ -176,16 +178,17 @@ def correct_velocity(settings: Record, state: Record, airframe: int) -> None:
         state["velocity_lag_s"] = settings["velocity_lag_s"]
     lag_ns = int(min(max(state["velocity_lag_s"], 0.0), LAG_MAX_S) * 1e9)
     taken_ns = state["measured_time_ns"] - lag_ns
-    then, later = np.empty(3), np.empty(3)
-    if not _velocity_at(state, taken_ns, then):
+    is_known, then = _velocity_at(state, taken_ns)
+    if not is_known:
         if state["time_ns"] - taken_ns > VALID_NS:
             state["measured_new"] = 0
         return
     later_ns = min(taken_ns + SLOPE_NS, state["time_ns"])
-    known = _velocity_at(state, later_ns, later) and later_ns > taken_ns
+    has_slope, later = _velocity_at(state, later_ns)
     state["measured_new"] = 0
     if state["states"] == AIDED:
-        slope_per_s = 1e9 / (later_ns - taken_ns) if known else 0.0
+        has_slope = has_slope and later_ns > taken_ns
+        slope_per_s = 1e9 / (later_ns - taken_ns) if has_slope else 0.0
         _take(state, then, later, slope_per_s)
     elif mekf.tilt_variance(state["covariance"]) < TILT_SIGMA_RAD**2:
         _match(state, then)
@@ -193,7 +196,7 @@ def correct_velocity(settings: Record, state: Record, airframe: int) -> None:
 
 
 @kernel
-def _take(state: Record, then: Floats, later: Floats, slope_per_s: float) -> None:
+def _take(state: Record, then: Velocity, later: Velocity, slope_per_s: float) -> None:
     """Correct by each component there is; an outlier counts less, by its square."""
     h, correction = state["measured"], state["correction"]
     measured, surprise = state["measured_velocity_m_s"], 0.0
@@ -252,7 +255,7 @@ def _lose_heading(state: Record) -> None:
 
 
 @kernel
-def _match(state: Record, then: Floats) -> None:
+def _match(state: Record, then: Velocity) -> None:
     """Compare how the measured velocity and the filter's changed since the measurement before."""
     v, match, matched = state["measured_velocity_m_s"], state["match"], state["matched_m_s"]
     span_s = (state["measured_time_ns"] - state["matched_time_ns"]) * 1e-9

@@ -195,12 +195,15 @@ def _speed(settings: Record, airframe: int) -> float:
 
 @kernel
 def _begin_in_flight(settings: Record, state: Record, airframe: int, speed: float) -> None:
-    """Set velocity and its covariance to those of the class.
+    """Set velocity and its covariance to those of the class; doubt the accelerometer's scale.
 
-    v = C v_body, so its error is that of v_body turned, and psi x v.
+    v = C v_body, so its error is that of v_body turned, and psi x v. No rest has shown the scale,
+    and a flight seldom will: most of the force is along z, so a bias there stands for it.
     """
     p, v, dcm = state["covariance"], state["velocity_ned_m_s"], state["dcm"]
     sigma = settings["velocity_sigma_m_s"][airframe]
+    scaled = STANDARD_GRAVITY_M_S2 * force_scale.sigma_of(settings, airframe)
+    p[ACCEL_BIAS + 2, ACCEL_BIAS + 2] += scaled * scaled
     for i in range(3):
         v[i] = speed * dcm[i, 0]
     for i in range(3):

@@ -37,7 +37,7 @@ QUIET_RATE_RAD_S: Final = 0.2
 
 
 @kernel
-def _sigma(settings: Record, airframe: int) -> float:
+def sigma_of(settings: Record, airframe: int) -> float:
     """1-sigma of the scale before it is learnt."""
     if settings["accel_bias_sigma_m_s2"][airframe] == 0.0:
         return 0.0
@@ -49,13 +49,13 @@ def start(settings: Record, state: Record, airframe: int) -> None:
     """Doubt the scale; what was found of it is kept."""
     if not abs(state["force_scale"] - 1.0) < 2.0 * LARGEST:
         state["force_scale"] = 1.0
-    state["force_scale_variance"] = _sigma(settings, airframe) ** 2
+    state["force_scale_variance"] = sigma_of(settings, airframe) ** 2
 
 
 @inlined_kernel
 def learn(settings: Record, state: Record, airframe: int, dt_s: float) -> None:
     """Correct the scale by the mean force of a quiet turn."""
-    walk_rts = WALK_SHARE_RTS * _sigma(settings, airframe)
+    walk_rts = WALK_SHARE_RTS * sigma_of(settings, airframe)
     state["force_scale_variance"] += walk_rts * walk_rts * dt_s
     force, rate = state["mean_force_m_s2"], state["smooth_rate_rad_s"]
     rate2 = rate[0] * rate[0] + rate[1] * rate[1] + rate[2] * rate[2]

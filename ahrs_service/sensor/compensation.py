@@ -131,7 +131,7 @@ def invert(
 
 @kernel
 def compensate(
-    coefficients: Rows,
+    coefficients: Record,
     gyro_raw: Floats,
     accel_raw: Floats,
     gyro_degc: float,
@@ -141,17 +141,16 @@ def compensate(
 ) -> int:
     """Compensate one sample and return Flag.TEMPERATURE_OUT_OF_RANGE or 0.
 
-    `coefficients` [1] COEFFICIENTS_DTYPE; raw and compensated rate [3] [rad/s] and specific force
+    `coefficients` of COEFFICIENTS_DTYPE; raw and compensated rate [3] [rad/s] and specific force
     [3] [m/s^2]; the outputs may be the inputs. The temperatures are those that act on the gyros
     and on the accelerometers (sensor.thermometer); NaN leaves all drift out, beyond the calibrated
     span that at its end is used and the flag returned. Where no force is known its effect on the
     gyros is left out.
     """
-    row = coefficients[0]
-    triad = row["accel"]
+    triad = coefficients["accel"]
     accel[0], accel[1], accel[2] = invert(triad, accel_raw, 0.0, 0.0, 0.0, accel_degc)
     is_out = is_outside(triad, accel_degc)
-    triad = row["gyro"]
+    triad = coefficients["gyro"]
     x, y, z = accel[0], accel[1], accel[2]
     if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
         x = y = z = 0.0
@@ -161,15 +160,14 @@ def compensate(
 
 
 @inlined_kernel
-def compensate_sample(coefficients: Rows, state: Record, sample: Record) -> int:
+def compensate_sample(coefficients: Record, state: Record, sample: Record) -> int:
     """Write `gyro_rad_s` and `accel_m_s2` of the state from a sample; return the sample's flags.
 
     Without a calibration they are the sample's. So is what comes of an IMU that the calibration is
     not of, and it is flagged; flagged too is what lacks the temperature on which its drift depends.
     """
-    row, flags = coefficients[0], sample["flags"]
-    is_ideal = row["is_ideal"] != 0
-    if is_ideal or row["holds_for_source"][sample["source"]] == 0:
+    flags, is_ideal = sample["flags"], coefficients["is_ideal"] != 0
+    if is_ideal or coefficients["holds_for_source"][sample["source"]] == 0:
         for i in range(3):
             state["gyro_rad_s"][i] = sample["gyro_rad_s"][i]
             state["accel_m_s2"][i] = sample["accel_m_s2"][i]
@@ -177,9 +175,10 @@ def compensate_sample(coefficients: Rows, state: Record, sample: Record) -> int:
     if flags & _IMU_CHANGED != 0:
         forget_temperature(state)
     reported_degc = sample["temperature_degc"]
-    if math.isnan(reported_degc) and row["gyro"]["segments"] + row["accel"]["segments"] > 0:
+    segments = coefficients["gyro"]["segments"] + coefficients["accel"]["segments"]
+    if math.isnan(reported_degc) and segments > 0:
         flags |= _UNCOMPENSATED
-    gyro_degc, accel_degc = read_thermometer(row, state, sample["time_ns"], reported_degc)
+    gyro_degc, accel_degc = read_thermometer(coefficients, state, sample["time_ns"], reported_degc)
     return flags | compensate(
         coefficients,
         sample["gyro_rad_s"],
@@ -193,7 +192,7 @@ def compensate_sample(coefficients: Rows, state: Record, sample: Record) -> int:
 
 @kernel
 def _compensate_rows(
-    coefficients: Rows, gyro_raw: Floats, accel_raw: Floats, acting_degc: Floats, out: Floats
+    coefficients: Record, gyro_raw: Floats, accel_raw: Floats, acting_degc: Floats, out: Floats
 ) -> None:
     for i in range(len(gyro_raw)):
         gyro_degc, accel_degc = acting_degc[i, 0], acting_degc[i, 1]
@@ -212,7 +211,7 @@ def compensate_columns(
     """Return rate and specific force [N, 3] of outputs [N, 3]: the inverse of forward_columns."""
     out = np.empty((2, *gyro_raw.shape))
     _compensate_rows(
-        coefficients,
+        coefficients[0],
         np.ascontiguousarray(gyro_raw, np.float64),
         np.ascontiguousarray(accel_raw, np.float64),
         acting_columns(coefficients, temperature_degc, time_s),

@@ -67,7 +67,7 @@ def compensate_all(known: Rows, state: Rows, samples: Rows) -> int:
     """Compensate `samples` [N] one after the other, as the step does."""
     flags = 0
     for n in range(samples.shape[0]):
-        flags |= compensate_sample(known, state[0], samples[n])
+        flags |= compensate_sample(known[0], state[0], samples[n])
     return flags
 
 

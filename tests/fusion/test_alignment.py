@@ -13,7 +13,7 @@ from ahrs_service.settings import Settings
 RATE_HZ = 50.0
 
 
-def turned_steadily(bank_deg, speed_m_s, shake=0.0, seconds=20.0):
+def turned_steadily(bank_deg, speed_m_s, shake=0.0, seconds=20.0, force_scale=1.0):
     """Estimates [N] of a coordinated turn, in which the force is along z whatever the bank.
 
     tan(bank) = V w / g; w has the parts sin(bank) along y, cos(bank) along z. `shake` 1 is that of
@@ -28,6 +28,7 @@ def turned_steadily(bank_deg, speed_m_s, shake=0.0, seconds=20.0):
     samples["accel_m_s2"] = [0.0, 0.0, -STANDARD_GRAVITY_M_S2 / np.cos(bank)]
     samples["gyro_rad_s"] += rng.normal(0.0, 0.01 * shake, (len(samples), 3))
     samples["accel_m_s2"] += rng.normal(0.0, 0.25 * shake, (len(samples), 3))
+    samples["accel_m_s2"] *= force_scale
     samples["airframe"] = Airframe.FIXED_WING
     estimates = empty(ESTIMATE_DTYPE, len(samples))
     ideal = coefficients(Calibration.ideal())
@@ -37,14 +38,14 @@ def turned_steadily(bank_deg, speed_m_s, shake=0.0, seconds=20.0):
 
 @pytest.mark.parametrize("bank_deg", [-60.0, -30.0, 20.0, 45.0])
 def test_a_turn_is_begun_with_its_bank(bank_deg):
-    """The class flies at 12 m/s: there the bank is exact, at 18 half of it may lack for a while.
+    """The class flies at 15 m/s: there the bank is exact, at 22 half of it may lack for a while.
 
     The wing's lift, which this turn has not, pulls by some degrees.
     """
-    found = np.degrees(euler_columns(turned_steadily(bank_deg, 12.0)["ned_from_body"])[:, :2])
+    found = np.degrees(euler_columns(turned_steadily(bank_deg, 15.0)["ned_from_body"])[:, :2])
     assert found[0] == pytest.approx([bank_deg, 0.0], abs=1e-6)
     assert np.abs(found[:50] - [bank_deg, 0.0]).max() < 4.0
-    faster = turned_steadily(bank_deg, 18.0, shake=1.0)["ned_from_body"]
+    faster = turned_steadily(bank_deg, 22.0, shake=1.0)["ned_from_body"]
     error = np.abs(np.degrees(euler_columns(faster)[:, :2]) - [bank_deg, 0.0])
     assert error[0].max() < 0.6 * abs(bank_deg)
     assert error[500:].max() < 5.0
@@ -56,3 +57,10 @@ def test_a_wide_smooth_turn_is_no_bias(bank_deg):
     estimates = turned_steadily(bank_deg, 17.0, shake=1.0)
     running = estimates[estimates["phase"] == Phase.RUNNING]
     assert np.abs(running["gyro_bias_rad_s"]).max() < 0.02
+
+
+def test_an_accelerometer_that_nobody_calibrated_is_found_out_in_the_air():
+    """6 % too much, as plane erle: begun in a turn no rest shows it, but no climb lasts."""
+    scaled = turned_steadily(30.0, 17.0, shake=1.0, seconds=60.0, force_scale=1.06)
+    error = np.degrees(euler_columns(scaled[1500:]["ned_from_body"])[:, :2]) - [30.0, 0.0]
+    assert np.abs(error).mean() < 1.8

@@ -82,7 +82,7 @@ def test_compensation_undoes_the_forward_model(
     rate, force = np.array(rate), np.array(force)
     gyro_raw, accel_raw, back_rate, back_force = (np.zeros(3) for _ in range(4))
     forward(rows, rate, force, gyro_degc, accel_degc, gyro_raw, accel_raw)
-    flags = compensate(rows, gyro_raw, accel_raw, gyro_degc, accel_degc, back_rate, back_force)
+    flags = compensate(rows[0], gyro_raw, accel_raw, gyro_degc, accel_degc, back_rate, back_force)
     np.testing.assert_allclose(back_rate, rate, rtol=0.0, atol=35.0 * 1e-12)
     np.testing.assert_allclose(back_force, force, rtol=0.0, atol=160.0 * 1e-12)
     is_outside = any(
@@ -142,7 +142,7 @@ def test_without_a_temperature_only_what_holds_at_room_temperature_acts():
     matrix, g = np.array(known.gyro.matrix), np.array(known.gyro.g_sensitivity)
     np.testing.assert_allclose(accel_raw, matrix @ force + known.accel.bias, rtol=1e-15)
     np.testing.assert_allclose(gyro_raw, matrix @ rate + known.gyro.bias + g @ force, rtol=1e-14)
-    assert compensate(rows, gyro_raw, accel_raw, np.nan, np.nan, back_rate, back_force) == 0
+    assert compensate(rows[0], gyro_raw, accel_raw, np.nan, np.nan, back_rate, back_force) == 0
     np.testing.assert_allclose(back_rate, rate, rtol=1e-14)
     np.testing.assert_allclose(back_force, force, rtol=1e-14)
 
@@ -151,11 +151,11 @@ def test_without_a_temperature_only_what_holds_at_room_temperature_acts():
 def test_a_missing_force_takes_no_rate_with_it(missing):
     rows = coefficients(example())
     rate, force = np.zeros(3), np.zeros(3)
-    compensate(rows, np.ones(3), np.array([1.0, missing, 2.0]), 30.0, 30.0, rate, force)
+    compensate(rows[0], np.ones(3), np.array([1.0, missing, 2.0]), 30.0, 30.0, rate, force)
     assert not np.isfinite(force).all()
     at_rest, free = np.zeros(3), example()
     free = coefficients(replace(free, gyro=replace(free.gyro, g_sensitivity=((0.0,) * 3,) * 3)))
-    compensate(free, np.ones(3), np.ones(3), 30.0, 30.0, at_rest, force)
+    compensate(free[0], np.ones(3), np.ones(3), 30.0, 30.0, at_rest, force)
     np.testing.assert_array_equal(rate, at_rest)
 
 
@@ -164,7 +164,7 @@ def test_an_ideal_sensor_gives_its_input_bit_for_bit():
     inputs = np.array([0.1, -0.7, 9.80665])
     gyro_raw, accel_raw, rate, force = (np.zeros(3) for _ in range(4))
     forward(rows, inputs, inputs, 55.0, 55.0, gyro_raw, accel_raw)
-    assert compensate(rows, gyro_raw, accel_raw, 55.0, 55.0, rate, force) == 0
+    assert compensate(rows[0], gyro_raw, accel_raw, 55.0, 55.0, rate, force) == 0
     np.testing.assert_array_equal(rate, inputs)
     np.testing.assert_array_equal(force, inputs)
 
@@ -176,9 +176,9 @@ def test_undecorated_code_gives_the_same_bytes():
         rate, force = rng.normal(0.0, 9.0, 3), rng.normal(0.0, 9.0, 3)
         compiled, plain = np.zeros((4, 3)), np.zeros((4, 3))
         forward(rows, rate, force, t, t, compiled[0], compiled[1])
-        flags = compensate(rows, compiled[0], compiled[1], t, t, compiled[2], compiled[3])
+        flags = compensate(rows[0], compiled[0], compiled[1], t, t, compiled[2], compiled[3])
         forward.py_func(rows, rate, force, t, t, plain[0], plain[1])
-        assert flags == compensate.py_func(rows, plain[0], plain[1], t, t, plain[2], plain[3])
+        assert flags == compensate.py_func(rows[0], plain[0], plain[1], t, t, plain[2], plain[3])
         assert compiled.tobytes() == plain.tobytes()
 
 
