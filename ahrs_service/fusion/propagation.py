@@ -88,16 +88,14 @@ def move(
     earlier, dcm = state["rate_earlier_rad_s"], state["dcm"]
     unknown2, rate2 = _take_rate(state, gyro, dt_s)
     state["turn_angle_variance"] += settings["gyro_scale_error_rts"] ** 2 * rate2 * dt_s
-    before_s, turned_s = state["interval_before_s"], dt_s
-    is_mean = settings["samples_are_means"] != 0
-    state["interval_before_s"] = dt_s
     if flags & _GAP:
         state["turn_angle_variance"] += (GAP_RATE_SIGMA_RAD_S * dt_s) ** 2
-        before_s = state["interval_before_s"] = 0.0
-        turned_s = 0.0
+        state["interval_before_s"] = 0.0
     else:
         state["turn_shake_variance"] += unknown2 * dt_s * dt_s
-    strapdown.rotate(state["ned_from_body"], earlier, before, rate, before_s, turned_s, is_mean)
+        before_s, is_mean = state["interval_before_s"], settings["samples_are_means"] != 0
+        state["interval_before_s"] = dt_s
+        strapdown.rotate(state["ned_from_body"], earlier, before, rate, before_s, dt_s, is_mean)
     if flags & _SATURATED:
         _count_blind(state, dt_s)
     pull_per_s = 1.0 / (settings["smoothing_s"] + dt_s)
