@@ -44,8 +44,8 @@ REST_RATE_RAD_S: Final = 0.15
 REST_FORCE_ERROR_M_S2: Final = 0.5
 REST_BIAS_SIGMA_RAD_S: Final = 0.002
 """Of a bias averaged at rest over about a second [rad/s]."""
-FLOWN_RATE_RAD_S: Final = 0.1
-"""More than a gyro's bias: what turns so is in the air, at 15 m/s with 9 deg of bank."""
+FLOWN_RATE_RAD_S: Final = 0.06
+"""Three 1-sigma of a gyro's bias: what turns its path so flies, at 15 m/s with 5 deg of bank."""
 REST_BIAS_SIGMAS: Final = 2.0
 """A fixed wing's mean rate beyond so many 1-sigma of the bias is rather a smooth wide turn."""
 
@@ -158,11 +158,10 @@ def first_attitude(
     left of the force is gravity: w x V e_x - f = -(f_x, f_y - V r, f_z + V q).
     """
     speed = _speed(settings, airframe)
-    rate2 = 0.0
     for i in range(3):
         state["rate_rad_s"][i] = gyro[i] - state["gyro_bias_rad_s"][i]
-        rate2 += state["rate_rad_s"][i] ** 2
-    if rate2 < FLOWN_RATE_RAD_S**2:
+    # What rolls in place turns no path.
+    if math.hypot(state["rate_rad_s"][1], state["rate_rad_s"][2]) < FLOWN_RATE_RAD_S:
         speed = 0.0
     across = accel[1] - speed * state["rate_rad_s"][2]
     down = accel[2] + speed * state["rate_rad_s"][1]

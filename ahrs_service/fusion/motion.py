@@ -89,7 +89,8 @@ def bound_velocity(settings: Record, state: Record, airframe: int, dt_s: float) 
             level = -STANDARD_GRAVITY_M_S2 if i == 2 else 0.0
             by_drag = -drag_s * (state["turn_force_m_s"][i] / state["turn_force_s"] - level)
             expected += by_drag
-            unlike = expected - _speed_along(state, i)
+            # A wing's slip is small against its speed: there the size alone is doubted.
+            unlike = by_drag if airframe == _FIXED_WING else expected - _speed_along(state, i)
             large = min(by_drag * by_drag, unlike * unlike) / (DRAG_LARGE * sigma)
             sigma = math.sqrt(sigma * sigma + (DRAG_SHARE * by_drag) ** 2 + large * large)
             h[ACCEL_BIAS + i] = -drag_s
