@@ -196,11 +196,13 @@ def _speed(settings: Record, airframe: int) -> float:
 def _begin_in_flight(settings: Record, state: Record, airframe: int, speed: float) -> None:
     """Set velocity and its covariance to those of the class; doubt the accelerometer's scale.
 
-    v = C v_body, so its error is that of v_body turned, and psi x v. No rest has shown the scale,
-    and a flight seldom will: most of the force is along z, so a bias there stands for it.
+    v = C v_body, so its error is that of v_body turned, and psi x v. It may as well be held in a
+    hand, so the speed is known to itself only. No rest has shown the scale, and a flight seldom
+    will: most of the force is along z, so a bias there stands for it.
     """
     p, v, dcm = state["covariance"], state["velocity_ned_m_s"], state["dcm"]
     sigma = settings["velocity_sigma_m_s"][airframe]
+    along = max(sigma[0], speed)
     scaled = STANDARD_GRAVITY_M_S2 * force_scale.sigma_of(settings, airframe)
     p[ACCEL_BIAS + 2, ACCEL_BIAS + 2] += scaled * scaled
     for i in range(3):
@@ -209,7 +211,8 @@ def _begin_in_flight(settings: Record, state: Record, airframe: int, speed: floa
         for j in range(3):
             p[VELOCITY + i, VELOCITY + j] = 0.0
             for k in range(3):
-                p[VELOCITY + i, VELOCITY + j] += dcm[i, k] * dcm[j, k] * sigma[k] ** 2
+                one = along if k == 0 else sigma[k]
+                p[VELOCITY + i, VELOCITY + j] += dcm[i, k] * dcm[j, k] * one * one
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
         # psi about k turns v from i to j.
