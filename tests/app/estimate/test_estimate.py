@@ -1,4 +1,4 @@
-"""None"""
+"""`ahrs-service estimate`: the answer for plain arrays, by function, command and process."""
 
 import subprocess
 import sys
@@ -8,51 +8,16 @@ import pytest
 
 from ahrs_service import pipeline
 from ahrs_service.app import config_file, estimate
-from ahrs_service.app.cli import main
 from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, ImuSource, empty
 from ahrs_service.rotation import euler_columns, inverse_columns, multiply_columns
 from ahrs_service.sensor.parameters import Calibration, coefficients
-from ahrs_service.simulation.scenario import make_flight
+from tests.app.estimate.conftest import angle_deg
 
 FLIP = np.array([1.0, -1.0, -1.0])
 
 
-@pytest.fixture(scope="module")
-def flight():
-    """A minute of the simulated flight as the fields of IN, forward-right-down, and its truth."""
-    rows = make_flight("flight", 60.0, seed=1, rate_hz=100.0).rows
-    fields = {
-        "imu_gyr": rows["gyro_rad_s"],
-        "imu_acc": rows["accel_m_s2"],
-        "imu_mag": rows["mag_ut"].astype(np.float64),
-        "airspeed": rows["airspeed_m_s"].astype(np.float64),
-        "vel_ned": rows["velocity_ned_m_s"].astype(np.float64),
-        "sampling_rate": 100.0,
-    }
-    return fields, rows
-
-
-@pytest.fixture
-def run(tmp_path, capsys):
-    """Run the command on fields; return the fields of OUT."""
-
-    def _run(fields, *options):
-        source, out = tmp_path / "in.npz", tmp_path / "out.npz"
-        np.savez(source, **fields)
-        assert main(["estimate", "--in", str(source), "--out", str(out), *options]) == 0
-        with np.load(out) as file:
-            return {name: file[name] for name in file.files}
-
-    return _run
-
-
 def only(fields, *names):
     return {name: fields[name] for name in ("imu_gyr", "imu_acc", "sampling_rate", *names)}
-
-
-def angle_deg(p, q):
-    error = multiply_columns(p, inverse_columns(q))
-    return np.degrees(2.0 * np.arctan2(np.linalg.norm(error[:, 1:], axis=1), np.abs(error[:, 0])))
 
 
 def in_flu(fields):
