@@ -1,16 +1,18 @@
 """Which profile plain arrays ask for, by how force and rate go together, where nothing says it.
 
-By means over a second of the specific force f and the rate w in body axes:
+By means of the specific force f and the rate w in body axes:
 
 - a fixed wing flies along its nose with a speed V, so what pulls it round shows as force:
   -f_z = g + V w_y, a line whose slope is V;
-- a multirotor's force is its thrust, which stays along one axis of the body however it tilts;
-- what is held shows gravity, which goes anywhere as it is turned.
+- a multirotor's force is its thrust, which stays along one axis of the body however it tilts, and
+  changes along it;
+- what is held shows gravity, which goes anywhere as it is turned, and is pushed to all sides.
 
 In ../shared fixed wings show V of 6.6 to 16 m/s with a correlation of 0.76 to 0.93, all else less
 than 1.2 m/s or 0.2; the force of multirotors stays within 12 deg of its mean for nine tenths of the
-time, that of what is turned by hand within 23 to 134 (tests/benchmarks/recognition.py). What is
-held upright all the time is taken for a multirotor.
+time, that of what is turned by hand within 23 to 134. What is held upright is within 6 to 8, but
+changes across as much as along, 1.1 to 1.7 times, where thrust does 0.17 to 0.50 times
+(tests/benchmarks/recognition.py).
 """
 
 import math
@@ -30,6 +32,13 @@ LEAST_RATE_RAD_S: Final = 0.03
 """With less there is no motion to go by, but drift with temperature on the ground [rad/s]."""
 THRUST_WITHIN_RAD: Final = math.radians(17.0)
 THRUST_SHARE: Final = 0.9
+THRUST_SIDEWAYS: Final = 0.74
+"""Half-way between thrust and hand, by ratio."""
+MEANS_NS: Final = 200_000_000
+SLOW_MEANS: Final = 10
+"""Faster than 2 s a hand pushes; slower, tilt and drag change a force sideways too."""
+PUSHED_M_S2: Final = 0.1
+"""What changes by less is noise, which has no axis."""
 FALLING_M_S2: Final = 0.5 * STANDARD_GRAVITY_M_S2
 """A force smaller than this points nowhere."""
 LEAST_S: Final = 20
@@ -40,13 +49,15 @@ LEAST_S: Final = 20
 class Signs:
     """What samples show.
 
-    The speed along the nose [m/s], how well its line fits (a correlation), and within which angle
-    of its mean the force stays for nine tenths of the time [rad].
+    The speed along the nose [m/s], how well its line fits (a correlation), within which angle of
+    its mean the force stays for nine tenths of the time [rad], and how many times as much it
+    changes across the body's z as along.
     """
 
     speed_m_s: float = 0.0
     likeness: float = 0.0
     spread_rad: float = 0.0
+    sideways: float = 0.0
 
 
 def profile_of(signs: Signs) -> str:
@@ -54,7 +65,8 @@ def profile_of(signs: Signs) -> str:
     flies = SLOWEST_FLIGHT_M_S < signs.speed_m_s < FASTEST_FLIGHT_M_S
     if flies and signs.likeness > FLOWN_LIKENESS:
         return "fixed_wing"
-    return "multirotor" if signs.spread_rad < THRUST_WITHIN_RAD else "hand_held"
+    is_thrust = signs.spread_rad < THRUST_WITHIN_RAD and signs.sideways < THRUST_SIDEWAYS
+    return "multirotor" if is_thrust else "hand_held"
 
 
 def signs_of(columns: Columns, frame: str) -> Signs:
@@ -68,12 +80,13 @@ def signs_of(columns: Columns, frame: str) -> Signs:
     rate, force = _means(second, gyro[known]), _means(second, accel[known])
     moves = rate[:, 1].std() > LEAST_RATE_RAD_S
     speed_m_s, likeness = _line(rate[:, 1], -force[:, 2]) if moves else (0.0, 0.0)
-    return Signs(speed_m_s, likeness, _spread(force))
+    fine = _means(columns.time_ns[known] // MEANS_NS, accel[known])
+    return Signs(speed_m_s, likeness, _spread(force), _sideways(fine))
 
 
-def _means(second: Integers, values: Floats) -> Floats:
-    """Means [M, 3] of `values` [N, 3] over each second that has any."""
-    _, place, counts = np.unique(second, return_inverse=True, return_counts=True)
+def _means(span: Integers, values: Floats) -> Floats:
+    """Means [M, 3] of `values` [N, 3] over each span of time that has any."""
+    _, place, counts = np.unique(span, return_inverse=True, return_counts=True)
     sums = [np.bincount(place, column) for column in values.T]
     return np.stack(sums, axis=1) / counts[:, None]
 
@@ -95,3 +108,18 @@ def _spread(force: Floats) -> float:
     mean = direction.mean(axis=0)
     along = direction @ mean / max(float(np.linalg.norm(mean)), 1e-9)
     return float(np.quantile(np.arccos(np.clip(along, -1.0, 1.0)), THRUST_SHARE))
+
+
+def _sideways(force: Floats) -> float:
+    """Return how many times as much means of force [M, 3] change along x or y as along z.
+
+    0 where less than 20 s of them change at all.
+    """
+    box = np.full(SLOW_MEANS, 1.0 / SLOW_MEANS)
+    change = force - np.stack([np.convolve(column, box, "same") for column in force.T], axis=1)
+    change = change[SLOW_MEANS:-SLOW_MEANS]
+    change = change[np.linalg.norm(change, axis=1) > PUSHED_M_S2]
+    if len(change) * MEANS_NS < LEAST_S * 1_000_000_000:
+        return 0.0
+    across = np.median(np.linalg.norm(change[:, :2], axis=1)) / math.sqrt(2.0)
+    return float(across / max(float(np.median(np.abs(change[:, 2]))), 1e-9))

@@ -15,11 +15,11 @@ def columns(gyro, accel, rate_hz=RATE_HZ):
 
 
 def hover(seconds=60.0, seed=1):
-    """Thrust along -z that trembles, tilting about x and y at random: a multirotor."""
+    """Thrust along -z that trembles, a little drag, tilting at random: a multirotor."""
     random = np.random.default_rng(seed)
     count = round(seconds * RATE_HZ)
     gyro = random.normal(0.0, 0.5, (count, 3))
-    accel = random.normal(0.0, 0.5, (count, 3)) - [0.0, 0.0, STANDARD_GRAVITY_M_S2]
+    accel = random.normal(0.0, (0.2, 0.2, 0.5), (count, 3)) - [0.0, 0.0, STANDARD_GRAVITY_M_S2]
     return gyro, accel
 
 
@@ -47,6 +47,22 @@ def test_thrust_stays_along_one_axis():
     signs = signs_of(columns(gyro, accel), "frd")
     assert profile_of(signs) == "multirotor"
     assert profile_of(signs_of(columns(gyro, accel * -1.0), "frd")) == "multirotor"
+
+
+def test_what_is_pushed_about_upright_is_held():
+    """A hand that moves it by some centimetres about once a second, never tilting."""
+    t = np.arange(3000) / RATE_HZ
+    push = np.stack([np.sin(5.0 * t), np.cos(7.0 * t), np.sin(6.0 * t + 1.0)], axis=1)
+    accel = push - [0.0, 0.0, STANDARD_GRAVITY_M_S2]
+    signs = signs_of(columns(np.zeros((len(t), 3)), accel), "frd")
+    assert signs.sideways == pytest.approx(1.0, abs=0.25)
+    assert profile_of(signs) == "hand_held"
+
+
+def test_noise_alone_is_not_pushed():
+    gyro, accel = hover()
+    accel = np.random.default_rng(2).normal(0.0, 0.05, accel.shape) + accel.mean(axis=0)
+    assert signs_of(columns(0.01 * gyro, accel), "frd").sideways == 0.0
 
 
 def test_frames_and_missing_rows_change_nothing():

@@ -5,7 +5,8 @@ Run: python tests/benchmarks/recognition.py [--data DIR]
 DIR holds flights/, sitl/ and broad/ (default: ../shared/data). Six axes, plain arrays: RMS of roll
 plus that of pitch on flights, of the inclination on BROAD [deg], with the profile of the class that
 the recording says, with the one recognised, and with the class unknown (`other`); then by what it
-was recognised: speed along the nose [m/s] and its correlation, how far the force wanders [deg].
+was recognised: speed along the nose [m/s] and its correlation, how far the force wanders [deg], how
+much it changes across for along.
 """
 
 import argparse
@@ -43,6 +44,7 @@ def _row(columns: Columns, frame: str, true: str, error: Callable[[Any], float])
     shown = (
         f"{signs.speed_m_s:.1f} {signs.likeness:.2f}",
         f"{math.degrees(signs.spread_rad):.0f}",
+        f"{signs.sideways:.2f}",
     )
     return [true, found, *(f"{error(quat):.2f}" for quat in answers), *shown]
 
@@ -91,7 +93,7 @@ def main() -> int:
         "force",
     ):
         out.add_column(column)
-    out.add_column("force")
+    out.add_column("across")
     for name, path in recordings(data / "flights", list(LOGS), False).items():
         out.add_row(name, *of_flight(read_flight(name, path)))
     for path in sorted((data / "broad").glob("*.npz")):
