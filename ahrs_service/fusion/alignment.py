@@ -46,6 +46,8 @@ REST_BIAS_SIGMA_RAD_S: Final = 0.002
 """Of a bias averaged at rest over about a second [rad/s]."""
 FLOWN_RATE_RAD_S: Final = 0.06
 """Three 1-sigma of a gyro's bias: what turns its path so flies, at 15 m/s with 5 deg of bank."""
+HELD_M_S2: Final = 0.6
+"""S() of the force's norm in steady flight: by so much gravity alone explains the force better."""
 REST_BIAS_SIGMAS: Final = 2.0
 """A fixed wing's mean rate beyond so many 1-sigma of the bias is rather a smooth wide turn."""
 
@@ -155,7 +157,8 @@ def first_attitude(
     """Set roll and pitch from one specific force [3] [m/s^2]; the heading is kept, 0 at first.
 
     A fixed wing in a turn moves along its nose with the usual speed V of its class, and what is
-    left of the force is gravity: w x V e_x - f = -(f_x, f_y - V r, f_z + V q).
+    left of the force is gravity: w x V e_x - f = -(f_x, f_y - V r, f_z + V q). Held in a hand the
+    force is gravity as it stands.
     """
     speed = _speed(settings, airframe)
     for i in range(3):
@@ -165,6 +168,12 @@ def first_attitude(
         speed = 0.0
     across = accel[1] - speed * state["rate_rad_s"][2]
     down = accel[2] + speed * state["rate_rad_s"][1]
+    still = math.sqrt(accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2])
+    flown = math.sqrt(accel[0] * accel[0] + across * across + down * down)
+    # What turns by hand feels gravity as it is.
+    nearer = abs(flown - STANDARD_GRAVITY_M_S2) - abs(still - STANDARD_GRAVITY_M_S2)
+    if nearer > HELD_M_S2:
+        speed, across, down = 0.0, accel[1], accel[2]
     before = np.empty(3)
     to_euler(state["ned_from_body"], before)
     roll = math.atan2(-across, -down)

@@ -64,3 +64,20 @@ def test_an_accelerometer_that_nobody_calibrated_is_found_out_in_the_air():
     scaled = turned_steadily(30.0, 17.0, shake=1.0, seconds=60.0, force_scale=1.06)
     error = np.degrees(euler_columns(scaled[1500:]["ned_from_body"])[:, :2]) - [30.0, 0.0]
     assert np.abs(error).mean() < 1.8
+
+
+@pytest.mark.parametrize("turn_rad_s", [-1.0, 0.3, 0.6])
+def test_a_wing_turned_by_hand_is_not_begun_in_flight(turn_rad_s):
+    """It is level and feels gravity alone; a flight at 15 m/s would lean by 25 deg and more."""
+    time_s = np.arange(10 * RATE_HZ) / RATE_HZ
+    samples = empty(SAMPLE_DTYPE, len(time_s))
+    samples["time_ns"] = samples["received_ns"] = np.rint(1e9 * time_s).astype(np.int64)
+    samples["gyro_rad_s"] = 0.0
+    samples["gyro_rad_s"][:, 2] = np.where(time_s < 2.0, turn_rad_s, 0.0)
+    samples["accel_m_s2"] = [0.0, 0.0, -STANDARD_GRAVITY_M_S2]
+    samples["airframe"] = Airframe.FIXED_WING
+    estimates = empty(ESTIMATE_DTYPE, len(samples))
+    ideal = coefficients(Calibration.ideal())
+    pipeline.batch(pipeline.parameters(Settings()), ideal, pipeline.new_state(), samples, estimates)
+    errors = np.degrees(euler_columns(estimates["ned_from_body"])[:, :2])
+    assert np.abs(errors).max() < 3.0
