@@ -19,7 +19,13 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.instants import Mask, at_instants, gap_limit, pairs, rotation_vectors
+from ahrs_service.attitude_interpolation import (
+    Mask,
+    at_instants,
+    gap_limit,
+    pairs,
+    rotation_vectors,
+)
 from ahrs_service.records import Floats, Integers, Rows
 from ahrs_service.rotation import euler_columns, inverse_columns, rotate_columns
 

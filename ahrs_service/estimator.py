@@ -11,7 +11,7 @@ import numpy as np
 
 from ahrs_service import intake, pipeline
 from ahrs_service.fusion import alignment
-from ahrs_service.fusion.aiding import HISTORY
+from ahrs_service.fusion.ground_velocity import HISTORY
 from ahrs_service.fusion.states import AIDED, GATED, UNAIDED
 from ahrs_service.records import (
     ESTIMATE_DTYPE,

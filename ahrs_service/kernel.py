@@ -21,7 +21,7 @@ _CONSTANTS: Final = ("constants.py", "records.py", "kernel.py")
 def _kernel_sources() -> list[Path]:
     """List the files that hold kernels or the constants compiled into them."""
     files = [_ROOT / name for name in _CONSTANTS]
-    for folder in (_ROOT, _ROOT.parent / "links"):
+    for folder in (_ROOT, _ROOT / "links"):
         files += [path for path in sorted(folder.rglob("*.py")) if _MARK in path.read_bytes()]
     return files
 

@@ -16,19 +16,19 @@ import numpy as np
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.fusion import (
-    aiding,
     alignment,
     force_scale,
     gating,
     gravity,
+    ground_velocity,
     heading,
     mekf,
-    motion,
     plausibility,
     propagation,
-    rest,
-    tape,
+    smoother_history,
     timebase,
+    velocity_constraints,
+    zero_velocity,
 )
 from ahrs_service.fusion.states import ERROR_STATES, GYRO_BIAS
 from ahrs_service.kernel import inlined_kernel, kernel
@@ -103,10 +103,10 @@ STATE_DTYPE: Final = np.dtype(
         *gravity.GRAVITY_FIELDS,
         *heading.HEADING_FIELDS,
         *propagation.PROPAGATION_FIELDS,
-        *rest.REST_FIELDS,
+        *zero_velocity.REST_FIELDS,
         *force_scale.SCALE_FIELDS,
-        *motion.MOTION_FIELDS,
-        *aiding.AIDING_FIELDS,
+        *velocity_constraints.MOTION_FIELDS,
+        *ground_velocity.AIDING_FIELDS,
         *plausibility.PLAUSIBILITY_FIELDS,
         ("ned_from_body", "f8", 4),
         ("dcm", "f8", (3, 3)),
@@ -170,30 +170,30 @@ def _turn(
 ) -> None:
     """Propagate the covariance, then correct by all that is known of the vehicle's motion."""
     if nodes is not None:
-        tape.leave(state, nodes[0])
+        smoother_history.leave(state, nodes[0])
     is_compensated = flags & _UNCOMPENSATED == 0
     propagation.grow(settings, state, sample["temperature_degc"], is_compensated)
     dt_s = state["turn_s"]
     gravity.judge(settings, state, airframe, dt_s, flags)
     uses_velocity = settings["use_velocity"] != 0
-    at_rest = uses_velocity and rest.come_to_rest(state)
+    at_rest = uses_velocity and zero_velocity.come_to_rest(state)
     if uses_velocity:
         force_scale.learn(settings, state, airframe, dt_s)
     if at_rest:
-        rest.doubt_bias(state, dt_s)
+        zero_velocity.doubt_bias(state, dt_s)
     if nodes is not None:
-        tape.arrive(state, nodes[1])
+        smoother_history.arrive(state, nodes[1])
     if at_rest:
-        rest.hold(state, dt_s, settings["gyro_rest_sigma_rad_s"])
+        zero_velocity.hold(state, dt_s, settings["gyro_rest_sigma_rad_s"])
     else:
         gravity.correct(settings, state, airframe, flags)
         if uses_velocity:
-            motion.bound_velocity(settings, state, airframe, dt_s)
+            velocity_constraints.bound_velocity(settings, state, airframe, dt_s)
     heading.correct(settings, state)
     if uses_velocity and settings["use_ground_velocity"] != 0:
-        aiding.remember(state)
-        aiding.correct_velocity(settings, state, airframe)
-        aiding.shift_history(state)
+        ground_velocity.remember(state)
+        ground_velocity.correct_velocity(settings, state, airframe)
+        ground_velocity.shift_history(state)
     propagation.begin_turn(state)
     mekf.settle(state)
     mekf.apply_correction(state)
@@ -329,9 +329,9 @@ def _move(
 ) -> None:
     """Take one good sample: integrate, and at the end of a turn correct."""
     airframe = _airframe(settings, sample)
-    motion.hear_airspeed(state, sample)
+    velocity_constraints.hear_airspeed(state, sample)
     if settings["use_ground_velocity"] != 0:
-        aiding.hear_velocity(state, sample)
+        ground_velocity.hear_velocity(state, sample)
     if state["aligned_samples"] == 0:
         if flags & _ACCEL_MISSING == 0:
             alignment.first_attitude(settings, state, airframe, gyro, accel)
@@ -345,9 +345,9 @@ def _move(
     propagation.move(settings, state, airframe, gyro, accel, dt_s, flags)
     if flags & _GAP != 0:
         state["rest_s"] = 0.0
-        aiding.break_off(state)
+        ground_velocity.break_off(state)
     elif flags & _ACCEL_MISSING == 0 and settings["use_velocity"] != 0:
-        rest.follow(state, gyro, accel, dt_s, settings["gyro_rest_sigma_rad_s"])
+        zero_velocity.follow(state, gyro, accel, dt_s, settings["gyro_rest_sigma_rad_s"])
     if settings["use_magnetometer"] != 0:
         heading.gather(state, sample["mag_ut"], dt_s)
     if state["turn_s"] + 0.5 * dt_s >= propagation.TURN_S or flags & _JUDGED_AT_ONCE != 0:
@@ -355,7 +355,7 @@ def _move(
         if not alignment.is_sound(state):
             _begin(settings, state, airframe)
             return
-        heading.seek(settings, state, aiding.is_fresh(state))
+        heading.seek(settings, state, ground_velocity.is_fresh(state))
     if state["phase"] == _ALIGNING and alignment.gather(settings, state, airframe, gyro, accel):
         state["phase"] = _RUNNING
         _summarise(state)

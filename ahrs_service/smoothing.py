@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service import pipeline
-from ahrs_service.fusion import smoother, tape
+from ahrs_service.fusion import smoother, smoother_history
 from ahrs_service.kernel import kernel
 from ahrs_service.records import ESTIMATE_DTYPE, Rows, empty
 from ahrs_service.sensor.parameters import Calibration, coefficients
@@ -38,7 +38,7 @@ def record(
     for n in range(samples.shape[0]):
         pair = nodes[used - 1 : used + 1]
         pipeline.take(parameters[0], coefficients[0], state[0], samples[n], estimates[n], pair)
-        used += tape.close(state[0], pair[1], first + n)
+        used += smoother_history.close(state[0], pair[1], first + n)
     return used
 
 
@@ -46,7 +46,7 @@ class Smoother:
     """Runs the filter and remembers what the way back needs: 3.1 kB per turn, 110 MB an hour."""
 
     def __init__(self) -> None:
-        self._nodes = np.zeros(_MIN_NODES, tape.NODE_DTYPE)
+        self._nodes = np.zeros(_MIN_NODES, smoother_history.NODE_DTYPE)
         self._used = 1
         self._samples = 0
 
@@ -57,7 +57,7 @@ class Smoother:
         needed = self._used + len(samples) + 1
         if needed > len(self._nodes):
             # Rows that are never written take no memory.
-            nodes = np.zeros(max(needed, 2 * len(self._nodes)), tape.NODE_DTYPE)
+            nodes = np.zeros(max(needed, 2 * len(self._nodes)), smoother_history.NODE_DTYPE)
             nodes[: self._used] = self._nodes[: self._used]
             self._nodes = nodes
         self._used = record(
@@ -74,7 +74,7 @@ class Smoother:
 
     def cut(self) -> None:
         """Let nothing that comes now tell of what was before: another state was loaded."""
-        self._nodes = np.append(self._nodes[: self._used], np.zeros(1, tape.NODE_DTYPE))
+        self._nodes = np.append(self._nodes[: self._used], np.zeros(1, smoother_history.NODE_DTYPE))
         self._used += 1
 
     def smooth(self, estimates: Rows) -> None:

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.links.logs.tlog import TlogFile, read_tlog
+from ahrs_service.links.mavlink.codec import dialect
 from ahrs_service.records import SAMPLE_DTYPE, Rows, empty
 from ahrs_service.rotation import inverse_columns, quaternion_columns, rotate_columns
-from links.mavlink_codec import dialect
-from links.tlog import TlogFile, read_tlog
 from tests.live import FarAutopilot, Served, Vehicle, fly, session
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared"
@@ -30,7 +30,7 @@ def shared() -> Path:
 def simulated_tlog(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A simulated flight of 60 s with its truth: HIGHRES_IMU at 200 Hz, RAW_IMU, SIM_STATE,
     ATTITUDE at 50 Hz, SCALED_IMU at 10 Hz, the rest at 1 to 10 Hz."""
-    from ahrs_service.app.simulate import RECORDED_RATES_HZ, write_tlog
+    from ahrs_service.app.simulate.command import RECORDED_RATES_HZ, write_tlog
     from ahrs_service.simulation.scenario import make_flight
 
     path = tmp_path_factory.mktemp("simulated") / "flight.tlog"

@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from ahrs_service.app.daemon import Daemon
-from ahrs_service.app.replay_log import replay_log
+from ahrs_service.app.live.daemon import Daemon
+from ahrs_service.app.replay.replay_log import replay_log
+from ahrs_service.links.mavlink.codec import Decoder, Encoder, dialect
+from ahrs_service.links.simulated.autopilot_parameters import AutopilotParameters
+from ahrs_service.links.transport.link import Link, LinkState
+from ahrs_service.links.transport.registry import open_link
+from ahrs_service.links.transport.stream import FdStream
 from ahrs_service.records import ESTIMATE_DTYPE, Rows
 from ahrs_service.settings import RecorderSettings, Settings
-from links.autopilot_parameters import AutopilotParameters
-from links.link import Link, LinkState
-from links.mavlink_codec import Decoder, Encoder, dialect
-from links.registry import open_link
-from links.stream import FdStream
 
 
 class Served:

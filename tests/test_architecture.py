@@ -62,7 +62,7 @@ def test_the_import_contracts_hold():
 
 
 def test_pymavlink_enters_by_the_codec_alone():
-    assert importers_of("pymavlink") == {"links/mavlink_codec.py"}
+    assert importers_of("pymavlink") == {"links/mavlink/codec.py"}
 
 
 def test_rerun_enters_by_the_viewer_alone():

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ahrs_service.estimator import Estimator, StateError
+from ahrs_service.links.mavlink.readings import recording_from_tlog
 from ahrs_service.records import READING_DTYPE, Kind, Phase, empty
 from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.settings import GateSettings, IntakeSettings, Settings
-from links.readings import recording_from_tlog
 
 COUNT = 3000
 few = settings(max_examples=25, deadline=None)

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ahrs_service import pipeline
-from ahrs_service.app.columns import Columns
-from ahrs_service.app.estimate import estimate_columns
+from ahrs_service.app.estimate.command import estimate_columns
+from ahrs_service.app.estimate.sample_columns import Columns
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.fusion.states import GYRO_MATRIX
 from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, Airframe, Phase, empty

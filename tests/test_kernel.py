@@ -43,7 +43,7 @@ print(outer(1.0))
 def copy(tmp_path):
     """A copy of the sources, and how to run a script with them."""
     ignored = shutil.ignore_patterns("__pycache__")
-    for package in (PACKAGE, PACKAGE.parent / "links"):
+    for package in (PACKAGE, PACKAGE / "links"):
         shutil.copytree(package, tmp_path / package.name, ignore=ignored)
     environment = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}
     environment["PYTHONPATH"] = str(tmp_path)

@@ -10,10 +10,10 @@ import rerun as rr
 
 from ahrs_service.records import Rows
 from ahrs_service.settings import GateSettings
-from viz import entities
-from viz.blueprint import blueprint
-from viz.columns import Columns
-from viz.scene import send_scene
+from ahrs_service.viz import entities
+from ahrs_service.viz.blueprint import blueprint
+from ahrs_service.viz.columns import Columns
+from ahrs_service.viz.scene import send_scene
 
 Series = tuple[npt.ArrayLike, npt.ArrayLike]
 Message = tuple[int, str, str]

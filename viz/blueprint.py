@@ -4,7 +4,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import TextLogColumnKind
 
-from viz import entities
+from ahrs_service.viz import entities
 
 LIVE_WINDOW_S = 60.0
 

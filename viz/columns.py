@@ -11,9 +11,9 @@ from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.records import Flag, Gate, Phase, Rows
 from ahrs_service.rotation import euler_columns
 from ahrs_service.settings import GateSettings
-from viz import entities, states
-from viz.clock import Clock, Nanoseconds
-from viz.scene import FORCE_SCALE, send_reference
+from ahrs_service.viz import entities, states
+from ahrs_service.viz.clock import Clock, Nanoseconds
+from ahrs_service.viz.scene import FORCE_SCALE, send_reference
 
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]

@@ -22,7 +22,7 @@ from ahrs_service.settings import GateSettings
 if TYPE_CHECKING:
     import rerun as rr
 
-    from viz.columns import Columns
+    from ahrs_service.viz.columns import Columns
 
 HOST: Final = "127.0.0.1"
 _DRAIN_S: Final = 10.0
@@ -161,10 +161,10 @@ class LiveViewer:
         os.environ.setdefault("RUST_LOG", "warn,re_log_encoding=error")
         import rerun as rr  # noqa: PLC0415
 
-        from viz import entities  # noqa: PLC0415
-        from viz.blueprint import blueprint  # noqa: PLC0415
-        from viz.columns import Columns  # noqa: PLC0415
-        from viz.scene import send_scene  # noqa: PLC0415
+        from ahrs_service.viz import entities  # noqa: PLC0415
+        from ahrs_service.viz.blueprint import blueprint  # noqa: PLC0415
+        from ahrs_service.viz.columns import Columns  # noqa: PLC0415
+        from ahrs_service.viz.scene import send_scene  # noqa: PLC0415
 
         sinks: list[Any] = []
         if self.port:

@@ -9,8 +9,8 @@ import numpy.typing as npt
 import rerun as rr
 import rerun.blueprint as rrb
 
-from viz import entities
-from viz.report_plots import CHANNELS, unit_of, words
+from ahrs_service.viz import entities
+from ahrs_service.viz.report_plots import CHANNELS, unit_of, words
 
 Floats = npt.NDArray[np.float64]
 Span = tuple[float, float, str]

@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from viz import entities, states
-from viz.airframe import aircraft
-from viz.entities import X_FAINT, Y_FAINT, Z_FAINT, X, Y, Z
+from ahrs_service.viz import entities, states
+from ahrs_service.viz.airframe import aircraft
+from ahrs_service.viz.entities import X_FAINT, Y_FAINT, Z_FAINT, X, Y, Z
 
 FORCE_SCALE: Final = 2.6
 """Drawn length of one g [m]."""

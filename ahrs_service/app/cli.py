@@ -8,19 +8,31 @@ from typing import Final
 from rich.console import Console
 from rich.markup import escape
 
-from ahrs_service.app.config_file import ConfigError
-from links.errors import LinkError
+from ahrs_service.app.files.config_file import ConfigError
+from ahrs_service.links.errors import LinkError
 
 COMMANDS: Final = {
-    "demo": ("ahrs_service.app.demo", "fly a simulated aircraft and watch the service work"),
-    "run": ("ahrs_service.app.run", "serve attitude on a MAVLink link"),
-    "replay": ("ahrs_service.app.replay", "run recordings (.tlog, .ulg, .bin) through the service"),
-    "estimate": ("ahrs_service.app.estimate", "attitude of plain arrays (.npz in, .npz out)"),
+    "demo": ("ahrs_service.app.live.demo", "fly a simulated aircraft and watch the service work"),
+    "run": ("ahrs_service.app.live.command", "serve attitude on a MAVLink link"),
+    "replay": (
+        "ahrs_service.app.replay.command",
+        "run recordings (.tlog, .ulg, .bin) through the service",
+    ),
+    "estimate": (
+        "ahrs_service.app.estimate.command",
+        "attitude of plain arrays (.npz in, .npz out)",
+    ),
     "calibrate": ("ahrs_service.app.calibrate.command", "calibrate a sensor, or look at one"),
-    "diagnose": ("ahrs_service.app.diagnose", "name what an IMU does that its twin does not"),
-    "play": ("ahrs_service.app.play", "play a recording over a link in real time"),
-    "prove": ("ahrs_service.app.prove", "hide physics in recordings and score its discovery"),
-    "simulate": ("ahrs_service.app.simulate", "fly the simulated autopilot over a link"),
+    "diagnose": (
+        "ahrs_service.app.diagnose.command",
+        "name what an IMU does that its twin does not",
+    ),
+    "play": ("ahrs_service.app.live.play", "play a recording over a link in real time"),
+    "prove": (
+        "ahrs_service.app.prove.command",
+        "hide physics in recordings and score its discovery",
+    ),
+    "simulate": ("ahrs_service.app.simulate.command", "fly the simulated autopilot over a link"),
 }
 
 EXIT_FAILED: Final = 1

@@ -5,7 +5,7 @@ import dataclasses
 import math
 from pathlib import Path
 
-from ahrs_service.app import config_file, profiles
+from ahrs_service.app.files import config_file, profiles
 from ahrs_service.settings import SensorSettings, Settings
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from ahrs_service.calibration import multi_pose, six_position
 from ahrs_service.calibration.columns import ImuColumns, check_stream_unit
 from ahrs_service.calibration.errors import CalibrationError
-from ahrs_service.calibration.known_turns import find_turns
+from ahrs_service.calibration.known_rotations import find_turns
 from ahrs_service.calibration.multi_pose import LEAST_POSES
 from ahrs_service.calibration.poses import (
     Stillness,

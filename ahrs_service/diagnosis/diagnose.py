@@ -5,19 +5,20 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.diagnosis.bench import BenchResidual
-from ahrs_service.diagnosis.beside_truth import Truth, beside_truth
-from ahrs_service.diagnosis.chance import over_the_search
-from ahrs_service.diagnosis.explain import explanation
-from ahrs_service.diagnosis.flight import FlightResidual, is_flight
-from ahrs_service.diagnosis.holdout import free_run, held_out
-from ahrs_service.diagnosis.hypotheses import Step
-from ahrs_service.diagnosis.library import Library, Term, library_of
-from ahrs_service.diagnosis.locate import against_covariates, where_it_acts
-from ahrs_service.diagnosis.model import Model, Number, added_body, free_numbers
-from ahrs_service.diagnosis.recorded import Recorded
-from ahrs_service.diagnosis.reference import reference_of
-from ahrs_service.diagnosis.residual import CHANNELS, Residual
+from ahrs_service.diagnosis.hypotheses.candidates import Library, Term, library_of
+from ahrs_service.diagnosis.hypotheses.hypothesis import Step
+from ahrs_service.diagnosis.hypotheses.model import Model, Number, added_body, free_numbers
+from ahrs_service.diagnosis.hypotheses.score_test import surprise, unseen
+from ahrs_service.diagnosis.input.bench_misfit import BenchResidual
+from ahrs_service.diagnosis.input.diagnosis_input import Recorded
+from ahrs_service.diagnosis.input.flight_misfit import FlightResidual, is_flight
+from ahrs_service.diagnosis.input.misfit import CHANNELS, Residual
+from ahrs_service.diagnosis.input.reference import reference_of
+from ahrs_service.diagnosis.judgement.beside_truth import Truth, beside_truth
+from ahrs_service.diagnosis.judgement.explain import explanation
+from ahrs_service.diagnosis.judgement.held_out_gain import free_run, held_out
+from ahrs_service.diagnosis.judgement.uncertainty import variances
+from ahrs_service.diagnosis.noise_model.whiteness import whiteness
 from ahrs_service.diagnosis.result import (
     Diagnosis,
     Estimated,
@@ -29,10 +30,9 @@ from ahrs_service.diagnosis.result import (
     Unexplained,
     Where,
 )
-from ahrs_service.diagnosis.screen import surprise, unseen
-from ahrs_service.diagnosis.search import Progress, Search, search
-from ahrs_service.diagnosis.uncertainty import variances
-from ahrs_service.diagnosis.whiteness import whiteness
+from ahrs_service.diagnosis.search.forward_search import Progress, Search, search
+from ahrs_service.diagnosis.search.locate import against_covariates, where_it_acts
+from ahrs_service.diagnosis.search.search_threshold import over_the_search
 from ahrs_service.records import Floats
 
 _AXIS_SIGMA: Final = 3.0

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.fusion import force_scale, mekf, rest
+from ahrs_service.fusion import force_scale, mekf, zero_velocity
 from ahrs_service.fusion.states import (
     ACCEL_BIAS,
     ERROR_STATES,
@@ -188,7 +188,7 @@ def first_attitude(
             dcm[i, 0] * accel[0] + dcm[i, 1] * accel[1] + dcm[i, 2] * accel[2]
         )
         state["force_before_ned_m_s2"][i] = state["force_ned_m_s2"][i]
-    rest.start(state, accel)
+    zero_velocity.start(state, accel)
     state["interval_before_s"] = 0.0
     state["aligned_samples"] = 1
     if speed > 0.0:

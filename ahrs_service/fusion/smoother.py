@@ -18,6 +18,7 @@ import numpy as np
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.fusion import mekf
+from ahrs_service.fusion.smoother_history import CHAINED, NONE
 from ahrs_service.fusion.states import (
     ACCEL_BIAS,
     ERROR_STATES,
@@ -26,7 +27,6 @@ from ahrs_service.fusion.states import (
     VELOCITY,
     WIND,
 )
-from ahrs_service.fusion.tape import CHAINED, NONE
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats, Record, Rows
 from ahrs_service.rotation import from_rotation_vector, multiply, normalise

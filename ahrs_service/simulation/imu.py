@@ -16,7 +16,7 @@ from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.forward import forward_columns
 from ahrs_service.sensor.noise import TriadNoise, sensor_noise
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration, Vector, coefficients
-from ahrs_service.simulation.acting import columns_of, needed
+from ahrs_service.simulation.effect_inputs import columns_of, needed
 from ahrs_service.simulation.environment import Propeller
 
 

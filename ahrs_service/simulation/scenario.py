@@ -40,7 +40,7 @@ FLIGHT_DTYPE: Final[np.dtype[Any]] = np.dtype(
         ("current_a", "f4"),
     ]
 )
-"""The truth of a flight and what its sensors give: what links.autopilot sends.
+"""The truth of a flight and what its sensors give: what links.simulated.autopilot sends.
 
 `gyro_rad_s` and `accel_m_s2` come from the IMU, `pitot_pa` is the dynamic pressure,
 `estimate_ned_from_body` the autopilot's own estimate, `vibration_m_s2` that of two seconds,

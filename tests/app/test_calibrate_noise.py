@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ahrs_service.app.cli import main
-from ahrs_service.app.simulate import write_tlog
+from ahrs_service.app.simulate.command import write_tlog
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.noise import gate_noise, steady_motion
 from ahrs_service.records import ESTIMATE_DTYPE, Phase, empty
@@ -72,7 +72,7 @@ def test_noise_gives_the_densities_and_a_budget(bench, capsys):
 
 
 def test_the_budget_is_one_that_settings_take(bench, capsys, tmp_path):
-    from ahrs_service.app.config_file import load
+    from ahrs_service.app.files.config_file import load
 
     _, _, said = run(capsys, "noise", bench)
     section = said[said.index("[gate_budget]") :].splitlines()[:4]

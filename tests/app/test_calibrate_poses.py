@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ahrs_service.app import calibration_file
 from ahrs_service.app.cli import main
-from ahrs_service.app.simulate import write_tlog
+from ahrs_service.app.files import calibration_file
+from ahrs_service.app.simulate.command import write_tlog
 from ahrs_service.sensor.compensation import compensate_columns
 from ahrs_service.sensor.parameters import coefficients
 from ahrs_service.simulation.scenario import make_flight

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ahrs_service.app.cli import main
-from ahrs_service.app.simulate import write_tlog
+from ahrs_service.app.simulate.command import write_tlog
 from ahrs_service.simulation.scenario import make_flight
 
 RATES = {"HEARTBEAT": 1.0, "HIGHRES_IMU": 100.0, "SCALED_IMU": 2.0}

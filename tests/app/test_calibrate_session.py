@@ -18,11 +18,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ahrs_service.app import simulate
 from ahrs_service.app.cli import main
+from ahrs_service.app.simulate import command as simulate
+from ahrs_service.links.logs.tlog import read_tlog
 from ahrs_service.simulation.pose_sequence import PoseSequence, Turn
 from ahrs_service.simulation.scenario import SCENARIOS, make_flight
-from links.tlog import read_tlog
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = [sys.executable, "-m", "ahrs_service.app.cli", "calibrate"]

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ahrs_service.app import calibration_file
 from ahrs_service.app.calibrate.show import response, verdict_text, view_of
 from ahrs_service.app.cli import main
+from ahrs_service.app.files import calibration_file
 from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration
 from ahrs_service.sensor.provenance import Uncertainty, Verdict
-from viz.calibration_curves import TIMELINE
+from ahrs_service.viz.calibration_curves import TIMELINE
 
 SHIPPED = Path(__file__).resolve().parents[2] / "configs" / "calibrations" / "sim-1.toml"
 BREAKS = np.linspace(-40.0, 70.0, 23)

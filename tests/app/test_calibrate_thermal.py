@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ahrs_service.app import calibration_file
 from ahrs_service.app.cli import main
-from ahrs_service.app.simulate import write_tlog
+from ahrs_service.app.files import calibration_file
+from ahrs_service.app.simulate.command import write_tlog
 from ahrs_service.calibration.thermal.rows import element_degc
 from ahrs_service.sensor.compensation import compensate_columns
 from ahrs_service.sensor.curve import Curve

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from ahrs_service.app import calibration_file
-from ahrs_service.app.config_file import ConfigError
+from ahrs_service.app.files import calibration_file
+from ahrs_service.app.files.config_file import ConfigError
 from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.parameters import NIL, Calibration, TriadCalibration
 from ahrs_service.sensor.provenance import Provenance, SourceRecording, Uncertainty, Verdict

@@ -8,21 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ahrs_service.app import calibration_file
-from ahrs_service.app.calibration_choice import CalibrationShelf
 from ahrs_service.app.cli import main
-from ahrs_service.app.config_file import ConfigError
-from ahrs_service.app.daemon import Daemon
-from ahrs_service.app.export_rrd import write_recording
-from ahrs_service.app.replay_log import replay_log
+from ahrs_service.app.files import calibration_file
+from ahrs_service.app.files.calibration_choice import CalibrationShelf
+from ahrs_service.app.files.config_file import ConfigError
+from ahrs_service.app.live.daemon import Daemon
+from ahrs_service.app.replay.export_rrd import write_recording
+from ahrs_service.app.replay.replay_log import replay_log
+from ahrs_service.links.errors import RecordingError
+from ahrs_service.links.mavlink.codec import Encoder, dialect
 from ahrs_service.rotation import euler_columns
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration
 from ahrs_service.sensor.provenance import Provenance, Uncertainty, Verdict
 from ahrs_service.settings import RecorderSettings, SensorSettings, Settings
 from ahrs_service.simulation.imu import consumer_grade
 from ahrs_service.simulation.scenario import make_flight
-from links.errors import RecordingError
-from links.mavlink_codec import Encoder, dialect
 
 SHIPPED = Path(__file__).resolve().parents[2] / "configs" / "calibrations"
 UNIT = b"SIM-1"

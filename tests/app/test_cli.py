@@ -100,7 +100,7 @@ def test_what_fails_ends_with_1_and_one_line(words, says, capsys, tmp_path, monk
 
 
 def test_an_interrupt_ends_with_130(monkeypatch):
-    from ahrs_service.app import replay
+    from ahrs_service.app.replay import command as replay
 
     def interrupted(arguments):
         raise KeyboardInterrupt

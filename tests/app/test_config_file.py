@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ahrs_service.app.config_file import ConfigError, from_json, load, to_json
+from ahrs_service.app.files.config_file import ConfigError, from_json, load, to_json
 from ahrs_service.settings import GateSettings, LinkSettings, Settings
 
 SECTIONS = [field.name for field in dataclasses.fields(Settings)]

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from ahrs_service.health import Health
+from ahrs_service.links.logs.tlog import read_tlog
+from ahrs_service.links.mavlink.codec import Encoder, dialect
+from ahrs_service.links.mavlink.signing import Signer, key_from_text
 from ahrs_service.settings import LinkSettings
-from links.mavlink_codec import Encoder, dialect
-from links.signing import Signer, key_from_text
-from links.tlog import read_tlog
 from tests.live import assert_replays, names, recorded_in
 
 NO_MARKERS = bytes(0 if byte in (0xFD, 0xFE) else byte for byte in range(256))

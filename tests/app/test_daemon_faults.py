@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from ahrs_service.health import Health
+from ahrs_service.links.mavlink.codec import dialect
+from ahrs_service.links.simulated.autopilot import SimulatedAutopilot
+from ahrs_service.links.transport.link import LinkState
 from ahrs_service.records import Flag, Phase
 from ahrs_service.settings import LinkSettings, Settings
 from ahrs_service.simulation.scenario import make_flight
-from links.autopilot import SimulatedAutopilot
-from links.link import LinkState
-from links.mavlink_codec import dialect
 from tests.live import assert_replays, names, recorded_in
 
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from ahrs_service.app.config_file import ConfigError
+from ahrs_service.app.files.config_file import ConfigError
+from ahrs_service.links.errors import LinkOpenError
+from ahrs_service.links.mavlink.signing import Signer, key_from_text
 from ahrs_service.settings import LinkSettings, Settings, ViewerSettings
-from links.errors import LinkOpenError
-from links.signing import Signer, key_from_text
 from tests.live import names, recorded_in
 
 

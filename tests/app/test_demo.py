@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from ahrs_service.app.cli import main
-from ahrs_service.app.replay_log import replay_log
-from links.tlog import read_tlog
+from ahrs_service.app.replay.replay_log import replay_log
+from ahrs_service.links.logs.tlog import read_tlog
 
 ROOT = Path(__file__).resolve().parents[2]
 TIMEOUT_S = 90.0
@@ -107,7 +107,7 @@ def test_what_cannot_be_flown_is_told_before_anything_is_made(tmp_path, capsys):
 
 
 def test_two_flights_in_one_second_have_folders_of_their_own(tmp_path, monkeypatch):
-    from ahrs_service.app import demo
+    from ahrs_service.app.live import demo
 
     monkeypatch.setattr(demo.time, "strftime", lambda form: "20260101-000000")
     made = [demo._files(tmp_path).name for _ in range(3)]

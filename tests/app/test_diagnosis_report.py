@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from ahrs_service.app import diagnosis_text as text
-from ahrs_service.app import twin_file
-from ahrs_service.app.diagnose import extended, sigmas_of
-from ahrs_service.app.diagnosis_page import most_telling, page
-from ahrs_service.app.diagnosis_terminal import summary
+from ahrs_service.app.diagnose import diagnosis_text as text
+from ahrs_service.app.diagnose.command import extended, sigmas_of
+from ahrs_service.app.diagnose.diagnosis_page import most_telling, page
+from ahrs_service.app.diagnose.diagnosis_terminal import summary
+from ahrs_service.app.files import twin_file
 from ahrs_service.diagnosis.result import (
     Covariate,
     Diagnosis,

@@ -15,10 +15,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from ahrs_service.app.config_file import to_json
-from ahrs_service.app.replay_log import replay_log
+from ahrs_service.app.files.config_file import to_json
+from ahrs_service.app.replay.replay_log import replay_log
 from ahrs_service.estimator import Estimator, StateError
 from ahrs_service.intake import STATE_DTYPE as INTAKE_STATE
+from ahrs_service.links.logs.session_marks import MarkKind, mark_messages
+from ahrs_service.links.logs.tlog import read_tlog
+from ahrs_service.links.mavlink.codec import Decoder, Encoder, dialect
+from ahrs_service.links.mavlink.readings import recording_from_tlog
+from ahrs_service.links.mavlink.signing import Signer, key_from_text
 from ahrs_service.pipeline import STATE_DTYPE as PIPELINE_STATE
 from ahrs_service.records import Gate, Phase
 from ahrs_service.settings import (
@@ -28,11 +33,6 @@ from ahrs_service.settings import (
     RecorderSettings,
     Settings,
 )
-from links.mavlink_codec import Decoder, Encoder, dialect
-from links.readings import recording_from_tlog
-from links.session_marks import MarkKind, mark_messages
-from links.signing import Signer, key_from_text
-from links.tlog import read_tlog
 from tests.live import assert_replays
 
 KINDS = ["udpin", "udpout", "tcp", "tcpin", "serial"]

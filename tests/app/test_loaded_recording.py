@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ahrs_service.app.loaded_recording import load, vibration_of
-from ahrs_service.app.recorded_columns import with_velocity
+from ahrs_service.app.diagnose.loaded_recording import load, vibration_of
+from ahrs_service.app.diagnose.recorded_columns import with_velocity
+from ahrs_service.links.errors import RecordingError
 from ahrs_service.simulation.scenario import make_flight
-from links.errors import RecordingError
 
 FLIGHTS = Path(__file__).parents[3] / "shared" / "data" / "flights"
 

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ahrs_service.app import config_file, profiles
 from ahrs_service.app.cli import main
-from ahrs_service.app.config_file import ConfigError, from_json, load, to_json
-from ahrs_service.app.replay_log import replay_log
+from ahrs_service.app.files import config_file, profiles
+from ahrs_service.app.files.config_file import ConfigError, from_json, load, to_json
+from ahrs_service.app.replay.replay_log import replay_log
 from ahrs_service.fusion import gating
 from ahrs_service.settings import FusionSettings, GateBudget, Settings
 from ahrs_service.simulation.scenario import make_flight

@@ -4,14 +4,14 @@ import json
 
 import pytest
 
-from ahrs_service.app import prove
-from ahrs_service.app.blind_files import write_case
-from ahrs_service.app.blind_rivals import Answer
-from ahrs_service.app.blind_tables import share
 from ahrs_service.app.cli import main
-from ahrs_service.diagnosis.blind.case import Request, make
-from ahrs_service.diagnosis.blind.held_out import gain_share, modelled
-from ahrs_service.diagnosis.blind.scoring import Rate
+from ahrs_service.app.prove import command as prove
+from ahrs_service.app.prove.blind_files import write_case
+from ahrs_service.app.prove.blind_rivals import Answer
+from ahrs_service.app.prove.blind_tables import share
+from ahrs_service.blind.case import Request, make
+from ahrs_service.blind.held_out_score import gain_share, modelled
+from ahrs_service.blind.scoring import Rate
 
 
 @pytest.fixture

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from ahrs_service.app.columns import Columns
-from ahrs_service.app.recognition import Signs, profile_of, signs_of
+from ahrs_service.app.estimate.recognition import Signs, profile_of, signs_of
+from ahrs_service.app.estimate.sample_columns import Columns
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.simulation.scenario import make_flight
 

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from ahrs_service.app.cli import COMMANDS, main
-from ahrs_service.app.replay_log import replay_log
-from links.mavlink_codec import Decoder, Encoder, dialect
-from links.tlog import read_tlog
+from ahrs_service.app.replay.replay_log import replay_log
+from ahrs_service.links.logs.tlog import read_tlog
+from ahrs_service.links.mavlink.codec import Decoder, Encoder, dialect
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = [sys.executable, "-m", "ahrs_service.app.cli"]

@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ahrs_service.app import simulate
 from ahrs_service.app.cli import main
-from ahrs_service.app.toml_file import read_as
+from ahrs_service.app.files.toml_file import read_as
+from ahrs_service.app.simulate import command as simulate
+from ahrs_service.links.logs.tlog import read_tlog
+from ahrs_service.links.mavlink.codec import Decoder, Encoder, dialect
+from ahrs_service.links.mavlink.readings import recording_from_tlog
 from ahrs_service.rotation import euler_columns
 from ahrs_service.simulation.imu import consumer_grade
 from ahrs_service.simulation.scenario import fly_scenario, make_flight
 from ahrs_service.simulation.script import Script
-from links.mavlink_codec import Decoder, Encoder, dialect
-from links.readings import recording_from_tlog
-from links.tlog import read_tlog
 
 EXAMPLE_SCRIPT = Path(__file__).parents[2] / "configs" / "flights" / "warm_up_and_turns.toml"
 

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ahrs_service.app import twin_file
 from ahrs_service.app.cli import main
-from ahrs_service.app.loaded_recording import load
-from ahrs_service.app.retrace_recording import flight_along
+from ahrs_service.app.diagnose.loaded_recording import load
+from ahrs_service.app.files import twin_file
+from ahrs_service.app.simulate.retrace_recording import flight_along
 from ahrs_service.effects.catalogue import EFFECTS, effect_of
-from ahrs_service.simulation.acting import columns_of
+from ahrs_service.simulation.effect_inputs import columns_of
 from ahrs_service.simulation.environment import battery_current_a
 from ahrs_service.simulation.imu import Imu, consumer_grade
 from ahrs_service.simulation.scenario import make_flight

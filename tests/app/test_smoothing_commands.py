@@ -8,10 +8,10 @@ import pyarrow.parquet
 import pytest
 
 from ahrs_service.app.cli import main
-from ahrs_service.app.replay_log import replay_log
+from ahrs_service.app.replay.replay_log import replay_log
+from ahrs_service.links.logs.tlog import read_tlog
 from ahrs_service.rotation import euler_columns
 from ahrs_service.simulation.scenario import make_flight
-from links.tlog import read_tlog
 
 
 def replay(*arguments):

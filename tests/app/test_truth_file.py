@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from ahrs_service.app import truth_file
-from ahrs_service.diagnosis.recorded import Recorded, Series
-from links.errors import RecordingError
+from ahrs_service.app.files import truth_file
+from ahrs_service.diagnosis.input.diagnosis_input import Recorded, Series
+from ahrs_service.links.errors import RecordingError
 
 
 def recorded_for(seconds, rate_hz=100.0):

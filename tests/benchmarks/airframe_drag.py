@@ -3,7 +3,7 @@
 Run: python tests/benchmarks/airframe_drag.py [--data DIR]
 
 DIR holds the flight recordings (default: ../shared/data/flights beside the project). The filter
-takes v = -T (f - f0) along a body axis (ahrs_service.fusion.motion); here T and f0 are fitted to
+takes v = -T (f - f0) along a body axis (fusion.velocity_constraints); here T and f0 are fitted to
 means over half a second, for drag_s in configs/airframes.
 
 Fixed wing: v_y = V sin(aos), v_z = V sin(aoa) by the vanes and the airspeed V of the UMN Ultra
@@ -30,8 +30,8 @@ from rich.console import Console
 from rich.table import Table
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.links.logs.recording_formats import read_recording
 from ahrs_service.rotation import inverse_columns, rotate_columns
-from links.recording_formats import read_recording
 
 VANES = "umn_thor75_fixedwing_50hz.mat"
 VANE_AXES = {"y": ("aos", "ay", 0.0), "z": ("aoa", "az", -STANDARD_GRAVITY_M_S2)}

@@ -40,9 +40,9 @@ from peers import (
 from rich.console import Console
 from rich.table import Table
 
-from ahrs_service.app import config_file
-from ahrs_service.app.columns import read_columns
-from ahrs_service.app.estimate import estimate_columns
+from ahrs_service.app.estimate.command import estimate_columns
+from ahrs_service.app.estimate.sample_columns import read_columns
+from ahrs_service.app.files import config_file
 from ahrs_service.settings import Settings
 
 PROFILE = "hand_held"

@@ -23,8 +23,8 @@ import numpy as np
 
 from ahrs_service.app.calibrate.allan import coefficients, longest_still
 from ahrs_service.app.calibrate.capture import read_capture
-from ahrs_service.app.replay_log import replay_log
-from ahrs_service.calibration import known_turns, multi_pose, pose_turns, six_position
+from ahrs_service.app.replay.replay_log import replay_log
+from ahrs_service.calibration import known_rotations, multi_pose, pose_rotations, six_position
 from ahrs_service.calibration.allan import fit_coefficients
 from ahrs_service.calibration.columns import ImuColumns
 from ahrs_service.calibration.errors import CalibrationError
@@ -88,8 +88,8 @@ def from_six_positions(seed: int, noisy: bool) -> Iterator[tuple[str, Result]]:
     poses = find_poses(columns)
     accel = six_position.fit_accelerometer(poses)
     yield "six-position, accel", (accel, *truth_of(calibration.accel), ALL)
-    turns = known_turns.find_turns(columns, poses, accel, 360.0)
-    gyro = known_turns.fit_gyro(poses, turns)
+    turns = known_rotations.find_turns(columns, poses, accel, 360.0)
+    gyro = known_rotations.fit_gyro(poses, turns)
     yield "six-position, gyro by circles", (gyro, *truth_of(calibration.gyro), ALL)
 
 
@@ -101,7 +101,7 @@ def from_many_poses(seed: int, noisy: bool) -> Iterator[tuple[str, Result]]:
     # In the symmetric axes that the norm can know, both matrices are turned alike.
     u, _, vt = np.linalg.svd(np.array(calibration.accel.matrix))
     yield "multi-pose, accel", (accel, *truth_of(calibration.accel, u @ vt), SYMMETRIC)
-    gyro = pose_turns.fit_gyro(columns, poses, accel)
+    gyro = pose_rotations.fit_gyro(columns, poses, accel)
     yield "multi-pose, gyro by the turns", (gyro, *truth_of(calibration.gyro, u @ vt), ALL)
 
 

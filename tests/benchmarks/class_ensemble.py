@@ -19,9 +19,9 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.app import config_file
+from ahrs_service.app.files import config_file
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.fusion import force_scale, motion
+from ahrs_service.fusion import force_scale, velocity_constraints
 from ahrs_service.records import SAMPLE_DTYPE, Airframe, Floats, ImuSource, Rows, empty
 from ahrs_service.rotation import inverse_columns, quaternion_columns, rotate_columns
 from ahrs_service.sensor.noise import TriadNoise, gauss_markov, sensor_noise
@@ -194,7 +194,9 @@ def _pushed(plan: _Plan, a: AirframeSettings, time_s: Floats, rng: np.random.Gen
     for i in range(3):
         sigma, lasts_s = a.velocity_sigma_m_s[i], a.velocity_correlation_s[i]
         noise[:, i] = gauss_markov(rng, (len(time_s), 1), sigma, lasts_s, fine_hz)[:, 0]
-    drag_s = np.array(a.drag_s) * (1.0 + motion.DRAG_SHARE * np.clip(rng.normal(size=3), -2, 2))
+    drag_s = np.array(a.drag_s) * (
+        1.0 + velocity_constraints.DRAG_SHARE * np.clip(rng.normal(size=3), -2, 2)
+    )
     gravity = rotate_columns(inverse_columns(plan.attitude), _DOWN)
     drag_s = np.where(plan.air[:, None] > 0.5, drag_s, 0.0)
     return pushed_force(plan.velocity, noise, drag_s, plan.rate, gravity, 1.0 / fine_hz)

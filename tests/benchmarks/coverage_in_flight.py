@@ -16,8 +16,8 @@ from flight_recordings import Flight
 from flights import DEFAULT_MODE, ours
 from rich.table import Table
 
+from ahrs_service.attitude_interpolation import at_instants
 from ahrs_service.comparison import FLOWN_RATE_RAD_S, motion
-from ahrs_service.instants import at_instants
 from ahrs_service.records import Floats
 
 

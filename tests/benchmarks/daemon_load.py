@@ -33,7 +33,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from links.mavlink_codec import Decoder, Encoder, dialect
+from ahrs_service.links.mavlink.codec import Decoder, Encoder, dialect
 
 SPIN_S = 0.0001
 FIRST_MS = 10_000

@@ -21,9 +21,9 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from ahrs_service.app.blind_files import write_case
-from ahrs_service.app.recorded_columns import read_columns
-from ahrs_service.diagnosis.blind.case import Request, make
+from ahrs_service.app.diagnose.recorded_columns import read_columns
+from ahrs_service.app.prove.blind_files import write_case
+from ahrs_service.blind.case import Request, make
 from ahrs_service.diagnosis.diagnose import diagnose
 
 HIDDEN = {

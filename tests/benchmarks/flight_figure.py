@@ -20,8 +20,8 @@ from flight_recordings import LOGS, Flight, read_flight
 from flights import estimates_of
 from peers import PEERS, PROJECT, SHARED_DATA, require_data
 
+from ahrs_service.attitude_interpolation import at_instants
 from ahrs_service.comparison import compare
-from ahrs_service.instants import at_instants
 from ahrs_service.records import Gate, Rows
 from ahrs_service.rotation import euler_columns
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from ahrs_service import intake
+from ahrs_service.links.errors import RecordingError
+from ahrs_service.links.logs.recording import AttitudeReference
+from ahrs_service.links.logs.recording_formats import READERS, read_recording
 from ahrs_service.records import SAMPLE_DTYPE, Kind, Rows, empty
 from ahrs_service.settings import Settings
-from links.errors import RecordingError
-from links.recording import AttitudeReference
-from links.recording_formats import READERS, read_recording
 
 LOGS = {
     "x8 aerobatics": "x8_fixedwing_aerobatics_50hz_reencoded.tlog",

@@ -36,10 +36,11 @@ from rich.console import Console
 from rich.table import Table
 
 from ahrs_service import pipeline
-from ahrs_service.app import config_file
-from ahrs_service.app.columns import read_columns
-from ahrs_service.app.estimate import estimate_columns
+from ahrs_service.app.estimate.command import estimate_columns
+from ahrs_service.app.estimate.sample_columns import read_columns
+from ahrs_service.app.files import config_file
 from ahrs_service.comparison import Comparison, compare
+from ahrs_service.links.errors import RecordingError
 from ahrs_service.records import (
     ESTIMATE_DTYPE,
     Airframe,
@@ -50,7 +51,6 @@ from ahrs_service.records import (
 )
 from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.settings import Settings
-from links.errors import RecordingError
 
 OURS = ("ours", "ours gated", "ours aided")
 CONTRACT = "six axes", "aided", "offline"

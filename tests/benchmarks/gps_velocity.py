@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 from pyulog import ULog
 
+from ahrs_service.links.logs.dataflash import at_rate, clock_rate_of
+from ahrs_service.links.logs.dataflash_tables import read_tables
+from ahrs_service.links.logs.tlog import read_tlog
 from ahrs_service.records import Kind, Rows
-from links.dataflash import at_rate, clock_rate_of
-from links.dataflash_tables import read_tables
-from links.tlog import read_tlog
 
 UNKNOWN = 0xFFFF
 LEAST_FIX = 3

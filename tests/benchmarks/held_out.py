@@ -20,9 +20,9 @@ from flights import OURS, measure, table
 from peers import PEERS, SHARED_DATA, require_data
 from rich.console import Console
 
+from ahrs_service.links.logs.recording import AttitudeReference
 from ahrs_service.records import SAMPLE_DTYPE, Airframe, Floats, ImuSource, Rows, empty
 from ahrs_service.rotation import quaternion_columns
-from links.recording import AttitudeReference
 
 COPTER = "copter_quadoptflow_48hz.zip"
 SOLAR = "solar_dawn3_fixedwing_px4_csv.zip"

@@ -28,9 +28,9 @@ from rich.console import Console
 from rich.table import Table
 from seed_systems import TABLE_PROFILE, TABLE_S, TABLES, estimate, largest_errors
 
-from ahrs_service.app import config_file
-from ahrs_service.app.diagnose import diagnose_file
-from ahrs_service.app.simulate import RECORDED_RATES_HZ, write_tlog
+from ahrs_service.app.diagnose.command import diagnose_file
+from ahrs_service.app.files import config_file
+from ahrs_service.app.simulate.command import RECORDED_RATES_HZ, write_tlog
 from ahrs_service.diagnosis.result import Diagnosis
 from ahrs_service.records import Airframe
 from ahrs_service.simulation.imu import Imu

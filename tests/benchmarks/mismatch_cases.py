@@ -17,7 +17,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ahrs_service.app.recorded_columns import read_columns
+from ahrs_service.app.diagnose.recorded_columns import read_columns
 from ahrs_service.diagnosis.diagnose import diagnose
 
 CASES = Path(__file__).resolve().parents[3] / "shared" / "mismatch" / "cases"

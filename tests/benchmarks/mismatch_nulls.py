@@ -20,17 +20,17 @@ from rich.console import Console
 from rich.table import Table
 from scipy.stats import kstest
 
-from ahrs_service.app.blind_files import write_case
-from ahrs_service.app.recorded_columns import read_columns
-from ahrs_service.diagnosis.blind.case import NULLS, Request, make
-from ahrs_service.diagnosis.blind.plan import SECONDS
-from ahrs_service.diagnosis.chance import hypotheses, maxima, over_the_search
+from ahrs_service.app.diagnose.recorded_columns import read_columns
+from ahrs_service.app.prove.blind_files import write_case
+from ahrs_service.blind.case import NULLS, Request, make
+from ahrs_service.blind.plan import SECONDS
 from ahrs_service.diagnosis.diagnose import compare
-from ahrs_service.diagnosis.library import library_of
-from ahrs_service.diagnosis.model import bare
-from ahrs_service.diagnosis.screen import screen
-from ahrs_service.diagnosis.search import ALARM, best_forms
-from ahrs_service.diagnosis.whiteness import whiteness
+from ahrs_service.diagnosis.hypotheses.candidates import library_of
+from ahrs_service.diagnosis.hypotheses.model import bare
+from ahrs_service.diagnosis.hypotheses.score_test import screen
+from ahrs_service.diagnosis.noise_model.whiteness import whiteness
+from ahrs_service.diagnosis.search.forward_search import ALARM, best_forms
+from ahrs_service.diagnosis.search.search_threshold import hypotheses, maxima, over_the_search
 
 CASES = Path(__file__).resolve().parents[3] / "shared" / "mismatch" / "cases"
 FLOWN = ("reference glitches", "jittered reference", "strong vibration")

@@ -46,12 +46,12 @@ from rich.table import Table
 from second_reference import NAMES
 from tilt_witness import track
 
+from ahrs_service.links.logs.recording import AttitudeReference
+from ahrs_service.links.logs.recording_formats import read_recording
 from ahrs_service.records import Airframe, Phase
 from ahrs_service.rotation import inverse_columns, multiply_columns, rotate_columns
 from ahrs_service.simulation.samples import samples_of
 from ahrs_service.simulation.scenario import make_flight
-from links.recording import AttitudeReference
-from links.recording_formats import read_recording
 
 FOLDS = 3
 BLOCK_S = 2.0

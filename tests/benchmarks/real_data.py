@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.diagnosis.known import with_effects
-from ahrs_service.diagnosis.recorded import Recorded, Series
+from ahrs_service.diagnosis.input.diagnosis_input import Recorded, Series
+from ahrs_service.diagnosis.input.effect_removal import with_effects
 from ahrs_service.effects.base import Effect, Values
+from ahrs_service.links.logs.dataflash_tables import read_tables
 from ahrs_service.records import Floats
 from ahrs_service.rotation import multiply_columns
 from ahrs_service.simulation.reference import continuous, smooth
-from links.dataflash_tables import read_tables
 
 _FRD_FROM_FLU = np.array([1.0, -1.0, -1.0])
 _HALF = np.sqrt(0.5)

@@ -20,10 +20,10 @@ from real_data import broad_trial, part
 from rich.console import Console
 from rich.table import Table
 
-from ahrs_service.app.loaded_recording import load
-from ahrs_service.app.recorded_columns import with_velocity
+from ahrs_service.app.diagnose.loaded_recording import load
+from ahrs_service.app.diagnose.recorded_columns import with_velocity
 from ahrs_service.diagnosis.diagnose import diagnose
-from ahrs_service.diagnosis.recorded import Recorded
+from ahrs_service.diagnosis.input.diagnosis_input import Recorded
 from ahrs_service.diagnosis.result import Diagnosis
 
 FLIGHTS = (

@@ -34,11 +34,11 @@ from real_witness import (
 from rich.console import Console
 from rich.table import Table
 
-from ahrs_service.app.loaded_recording import load
-from ahrs_service.diagnosis.recorded import Recorded
+from ahrs_service.app.diagnose.loaded_recording import load
+from ahrs_service.diagnosis.input.diagnosis_input import Recorded
+from ahrs_service.links.logs.dataflash_tables import read_tables
+from ahrs_service.links.logs.recording_formats import read_recording
 from ahrs_service.records import ImuSource, Kind, Rows
-from links.dataflash_tables import read_tables
-from links.recording_formats import read_recording
 
 STATIC = {
     "bench_cuav_2021-11-25_static_warmup_1hz.tlog": "37 to 43 degC, 1 Hz",

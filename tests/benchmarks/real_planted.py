@@ -27,9 +27,9 @@ from real_data import broad_trial, part, planted
 from rich.console import Console
 from rich.table import Table
 
-from ahrs_service.app.recorded_columns import read_columns
+from ahrs_service.app.diagnose.recorded_columns import read_columns
 from ahrs_service.diagnosis.diagnose import diagnose
-from ahrs_service.diagnosis.recorded import Recorded
+from ahrs_service.diagnosis.input.diagnosis_input import Recorded
 from ahrs_service.diagnosis.result import Diagnosis, Finding
 from ahrs_service.effects.catalogue import effect_of
 

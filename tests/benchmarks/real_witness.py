@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ahrs_service.diagnosis.recorded import Recorded
-from ahrs_service.instants import rotation_vectors
+from ahrs_service.attitude_interpolation import rotation_vectors
+from ahrs_service.diagnosis.input.diagnosis_input import Recorded
 from ahrs_service.records import Floats
 from ahrs_service.rotation import rotate_columns
 

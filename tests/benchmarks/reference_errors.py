@@ -21,17 +21,17 @@ from real_diagnoses import FLIGHTS
 from rich.console import Console
 from rich.table import Table
 
-from ahrs_service.app.recorded_columns import read_columns
-from ahrs_service.diagnosis import flight
+from ahrs_service.app.diagnose.recorded_columns import read_columns
 from ahrs_service.diagnosis.diagnose import compare
-from ahrs_service.diagnosis.flight import FlightResidual
-from ahrs_service.diagnosis.library import library_of
-from ahrs_service.diagnosis.likelihood import fit
-from ahrs_service.diagnosis.model import Model, bare
-from ahrs_service.diagnosis.recorded import Recorded
-from ahrs_service.diagnosis.screen import screen
-from ahrs_service.diagnosis.search import extend
-from links.errors import RecordingError
+from ahrs_service.diagnosis.hypotheses.candidates import library_of
+from ahrs_service.diagnosis.hypotheses.model import Model, bare
+from ahrs_service.diagnosis.hypotheses.score_test import screen
+from ahrs_service.diagnosis.input import flight_misfit
+from ahrs_service.diagnosis.input.diagnosis_input import Recorded
+from ahrs_service.diagnosis.input.flight_misfit import FlightResidual
+from ahrs_service.diagnosis.noise_model.likelihood import fit
+from ahrs_service.diagnosis.search.forward_search import extend
+from ahrs_service.links.errors import RecordingError
 
 BOUNDS_S = (20.0, 60.0, 600.0)
 LATE = "imu_time_offset"
@@ -51,7 +51,7 @@ def recordings(folder: Path) -> Iterator[tuple[str, Recorded]]:
 
 def fitted(recorded: Recorded, bound_s: float) -> tuple[FlightResidual, Model] | None:
     """Return the misfit with the time offset alone fitted under a bound; None on a bench."""
-    flight._LONGEST_ERROR = float(np.log(bound_s))
+    flight_misfit._LONGEST_ERROR = float(np.log(bound_s))
     residual = compare(recorded)
     if not isinstance(residual, FlightResidual):
         return None
@@ -93,7 +93,7 @@ def case_row(path: Path) -> list[str] | None:
         recording = path.parents[1] / recording.name
     recorded, cells = read_columns(recording), []
     for bound_s in BOUNDS_S:
-        flight._LONGEST_ERROR = float(np.log(bound_s))
+        flight_misfit._LONGEST_ERROR = float(np.log(bound_s))
         residual = compare(recorded)
         if not isinstance(residual, FlightResidual):
             return None

@@ -61,9 +61,9 @@ from tilt_witness import (
 from witness_statistics import doubtful, fault, nearer, spans
 
 from ahrs_service.comparison import compare, rate_around, steady_flight
+from ahrs_service.links.logs.recording_formats import read_recording
 from ahrs_service.records import Airframe, Phase
 from ahrs_service.rotation import inverse_columns, rotate_columns
-from links.recording_formats import read_recording
 
 PEER_CHOICE = ("vqf", "vqf tauAcc 10", "BasicVQF tauAcc 10", "Fusion", "Fusion gain .1 rej 5")
 OUTLIER = 6.0

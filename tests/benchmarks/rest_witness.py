@@ -25,7 +25,7 @@ from peers import SHARED_DATA, Floats, require_data
 from rich.console import Console
 from rich.table import Table
 
-from ahrs_service.instants import at_instants
+from ahrs_service.attitude_interpolation import at_instants
 from ahrs_service.rotation import euler_columns
 
 WINDOW_S = 2.0

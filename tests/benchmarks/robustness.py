@@ -24,9 +24,9 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from ahrs_service.app import config_file
-from ahrs_service.app.columns import columns_of
-from ahrs_service.app.estimate import estimate_columns
+from ahrs_service.app.estimate.command import estimate_columns
+from ahrs_service.app.estimate.sample_columns import columns_of
+from ahrs_service.app.files import config_file
 from ahrs_service.records import Floats, Rows
 from ahrs_service.simulation.environment import magnetic_field_ut
 

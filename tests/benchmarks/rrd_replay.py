@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2 as G
+from ahrs_service.links.logs.recording import AttitudeReference
 from ahrs_service.records import ESTIMATE_DTYPE, Gate, Phase, Rows, empty
 from ahrs_service.rotation import inverse_columns, quaternion_columns, rotate_columns
 from ahrs_service.settings import GateSettings
-from links.recording import AttitudeReference
 
 
 def _turns(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -84,7 +84,7 @@ def main() -> None:
         round(arguments.hours * 3600 * arguments.rate), arguments.rate
     )
     started = time.perf_counter()
-    from viz.batch import write_rrd
+    from ahrs_service.viz.batch import write_rrd
 
     with tempfile.TemporaryDirectory() as folder:
         path = arguments.out or Path(folder) / "hour.rrd"

@@ -33,9 +33,9 @@ from rich.console import Console
 from rich.table import Table
 
 from ahrs_service.comparison import Comparison, compare
+from ahrs_service.links.logs.recording import AttitudeReference
+from ahrs_service.links.logs.recording_formats import read_recording
 from ahrs_service.records import ESTIMATE_DTYPE, Integers, Phase, Rows, empty
-from links.recording import AttitudeReference
-from links.recording_formats import read_recording
 
 NAMES = ("x8 aerobatics", "thor75", "swiss2", "plane erle", "demo x8")
 NAMES += ("quad106", "copter pixhawk", "sitl")

@@ -33,7 +33,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ahrs_service import pipeline
-from ahrs_service.app import config_file
+from ahrs_service.app.files import config_file
 from ahrs_service.comparison import Comparison, compare
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.fusion import gating

@@ -13,8 +13,8 @@ from pathlib import Path
 from peers import SHARED_DATA, require_data
 
 from ahrs_service.app.cli import main as ahrs_service
-from links.mavlink_codec import Encoder, decode_frame
-from links.tlog import TlogFile, read_tlog, tlog_record
+from ahrs_service.links.logs.tlog import TlogFile, read_tlog, tlog_record
+from ahrs_service.links.mavlink.codec import Encoder, decode_frame
 
 SCALE_ERROR = {"xgyro": 0.012, "ygyro": -0.010, "zgyro": 0.015}
 _BEGIN_S = 95.0

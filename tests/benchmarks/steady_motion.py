@@ -23,8 +23,8 @@ from rich.console import Console
 from rich.table import Table
 
 from ahrs_service import pipeline
-from ahrs_service.app import config_file
-from ahrs_service.app.columns import read_columns
+from ahrs_service.app.estimate.sample_columns import read_columns
+from ahrs_service.app.files import config_file
 from ahrs_service.records import ESTIMATE_DTYPE, Phase, Rows, empty
 from ahrs_service.rotation import euler_columns
 from ahrs_service.sensor.parameters import Calibration, coefficients

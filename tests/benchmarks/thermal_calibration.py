@@ -26,7 +26,7 @@ from rich.table import Table
 
 from ahrs_service.calibration.thermal.comparison import METHODS, Bench, calibrate_bench, residuals
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from viz.thermal_figure import draw_residuals
+from ahrs_service.viz.thermal_figure import draw_residuals
 
 MILLI_G = 1e-3 * STANDARD_GRAVITY_M_S2
 TARGETS_MG = {

@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.table import Table
 from thermal_recordings import Series, Silent, every_series
 
-from ahrs_service.calibration.thermal.held_out import TENTHS, HeldOut, fit_chosen, hold_out
+from ahrs_service.calibration.thermal.fold_choice import TENTHS, HeldOut, fit_chosen, hold_out
 from ahrs_service.calibration.thermal.rows import ThermalRows
 from ahrs_service.calibration.thermal.smooth import Axes, fit_curves, fit_smooth
 from ahrs_service.calibration.thermal.smooth_drift import Structure

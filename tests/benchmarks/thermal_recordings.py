@@ -22,9 +22,9 @@ from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.thermal.poses import joined, still_rows
 from ahrs_service.calibration.thermal.rows import ThermalRows
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.links.logs.dataflash_tables import read_tables
+from ahrs_service.links.logs.recording_formats import read_recording
 from ahrs_service.records import Floats, ImuSource, Kind, Rows
-from links.dataflash_tables import read_tables
-from links.recording_formats import read_recording
 
 MRAD_S, MILLI_G = 1e-3, 1e-3 * STANDARD_GRAVITY_M_S2
 BENCHES = {

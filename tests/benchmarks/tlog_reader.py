@@ -16,8 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from links.mavlink_codec import Encoder, dialect
-from links.tlog import read_tlog, tlog_record
+from ahrs_service.links.logs.tlog import read_tlog, tlog_record
+from ahrs_service.links.mavlink.codec import Encoder, dialect
 
 RECORDING = (
     Path(__file__).resolve().parents[2].parent / "shared/data/sitl/arduplane_sitl_nominal.tlog"
@@ -27,7 +27,7 @@ START_US = 1_700_000_000_000_000
 HELD = """
 import gc, sys, tracemalloc
 from pathlib import Path
-from links.tlog import read_tlog
+from ahrs_service.links.logs.tlog import read_tlog
 
 def rss():
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ahrs_service.records import ESTIMATE_DTYPE, Phase, Rows, empty
-from viz.live import LiveViewer
+from ahrs_service.viz.live import LiveViewer
 
 
 def _rows(count: int, rate_hz: float) -> Rows:

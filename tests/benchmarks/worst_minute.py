@@ -8,10 +8,10 @@ from peers import G0
 from rich.table import Table
 from tilt_witness import gyro_corrections
 
-from ahrs_service.instants import at_instants
+from ahrs_service.attitude_interpolation import at_instants
+from ahrs_service.links.logs.recording import AttitudeReference
 from ahrs_service.records import Gate, Rows
 from ahrs_service.rotation import euler_columns
-from links.recording import AttitudeReference
 
 MINUTE_S = 60.0
 STEP_S = 5.0

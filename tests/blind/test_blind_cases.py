@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
-from ahrs_service.app.blind_files import case_bytes, seal, write_case
-from ahrs_service.diagnosis.blind.case import CONTROLS, NULLS, Request, make
-from ahrs_service.diagnosis.blind.messages import tables
-from ahrs_service.diagnosis.blind.noise import SHAKE_AXES
-from ahrs_service.diagnosis.blind.plan import SHARES, controls, plan
-from links.tlog import read_tlog
+from ahrs_service.app.prove.blind_files import case_bytes, seal, write_case
+from ahrs_service.blind.case import CONTROLS, NULLS, Request, make
+from ahrs_service.blind.messages import tables
+from ahrs_service.blind.noise import SHAKE_AXES
+from ahrs_service.blind.plan import SHARES, controls, plan
+from ahrs_service.links.logs.tlog import read_tlog
 
 
 def residual(case):

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ahrs_service.calibration import known_turns, multi_pose, pose_turns, six_position
+from ahrs_service.calibration import known_rotations, multi_pose, pose_rotations, six_position
 from ahrs_service.calibration.columns import (
     check_force_unit,
     check_saturation,
@@ -96,7 +96,7 @@ def test_turns_at_the_end_of_the_range_are_left_out(bench):
     gyro = columns.gyro_rad_s.copy()
     gyro[:, 0] = np.clip(gyro[:, 0], -1.0, 1.0)
     clipped = replace(columns, gyro_rad_s=gyro)
-    turns = known_turns.find_turns(clipped, find_poses(clipped), ideal(), 360.0)
+    turns = known_rotations.find_turns(clipped, find_poses(clipped), ideal(), 360.0)
     assert len(turns.truth) == 4
     assert len(turns.left_out) == 2
     assert "ran into the end of its range, so it does not count: turn more" in turns.left_out[0]
@@ -144,13 +144,13 @@ def test_a_turn_about_another_axis_than_the_vertical_is_told(bench):
     swapped = replace(columns, gyro_rad_s=columns.gyro_rad_s[:, [2, 1, 0]])
     poses = find_poses(swapped)
     with pytest.raises(CalibrationError, match="z was vertical by the accelerometer, but the gyro"):
-        known_turns.find_turns(swapped, poses, ideal(), 360.0)
+        known_rotations.find_turns(swapped, poses, ideal(), 360.0)
 
 
 def test_a_turn_that_is_no_multiple_is_told(bench):
     columns, _ = bench("six-position", 100.0)
     poses = find_poses(columns)
-    turns = known_turns.find_turns(columns, poses, ideal(), 250.0)
+    turns = known_rotations.find_turns(columns, poses, ideal(), 250.0)
     assert len(turns.truth) == 0
     assert len(turns.left_out) == 6
     assert "deg, which is no multiple of 250 deg, so it does not count" in turns.left_out[0]
@@ -159,7 +159,7 @@ def test_a_turn_that_is_no_multiple_is_told(bench):
 def test_turns_about_one_axis_are_not_enough():
     about_z = 2 * math.pi * np.array([[0, 0, 1.0], [0, 0, -1.0]] * 3)
     with pytest.raises(CalibrationError, match="each of the unit's three axes vertical in turn"):
-        known_turns.fit_gyro(poses_of(G * FACES), known_turns.Turns(about_z, about_z))
+        known_rotations.fit_gyro(poses_of(G * FACES), known_rotations.Turns(about_z, about_z))
 
 
 @pytest.mark.parametrize("order", [[1, 0, 2], [2, 1, 0], [1, 2, 0]])
@@ -169,7 +169,7 @@ def test_swapped_gyro_axes_are_told_without_a_table(bench, order):
     poses = find_poses(swapped)
     names = ", ".join("xyz"[k] for k in np.argsort(order))
     with pytest.raises(CalibrationError, match=f"whose x, y, z are {names} of the gyro"):
-        pose_turns.fit_gyro(swapped, poses, multi_pose.fit_accelerometer(poses))
+        pose_rotations.fit_gyro(swapped, poses, multi_pose.fit_accelerometer(poses))
 
 
 def test_a_mirrored_gyro_axis_is_told_without_a_table(bench):
@@ -177,7 +177,7 @@ def test_a_mirrored_gyro_axis_is_told_without_a_table(bench):
     mirrored = replace(columns, gyro_rad_s=columns.gyro_rad_s * [1.0, -1.0, 1.0])
     poses = find_poses(mirrored)
     with pytest.raises(CalibrationError, match="whose x, y, z are x, -y, z of the gyro"):
-        pose_turns.fit_gyro(mirrored, poses, multi_pose.fit_accelerometer(poses))
+        pose_rotations.fit_gyro(mirrored, poses, multi_pose.fit_accelerometer(poses))
 
 
 def test_a_dead_axis_is_told():
@@ -192,4 +192,4 @@ def test_poses_too_near_to_each_other_for_the_gyros_are_told(bench):
     poses = find_poses(columns)
     accel = multi_pose.fit_accelerometer(poses)
     with pytest.raises(CalibrationError, match="2 turns of 20 degrees or more between still poses"):
-        pose_turns.fit_gyro(columns, poses[:3], accel)
+        pose_rotations.fit_gyro(columns, poses[:3], accel)

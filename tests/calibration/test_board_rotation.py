@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ahrs_service.calibration.autopilots.board_rotation import board_rotation, body_from_sensor
-from links.mavlink_codec import dialect
+from ahrs_service.links.mavlink.codec import dialect
 
 NAMES = {
     number: entry.name.removeprefix("MAV_SENSOR_ROTATION_")

@@ -6,8 +6,8 @@ from ahrs_service.calibration.autopilots.double_compensation import (
     forms_in_force,
     imu_of,
 )
+from ahrs_service.links.simulated.autopilot_parameters import ardupilot_ins, px4_calibration
 from ahrs_service.records import ImuSource
-from links.autopilot_parameters import ardupilot_ins, px4_calibration
 
 
 def ardupilot(**changes):

@@ -14,7 +14,7 @@ from ahrs_service.effects.thermal_lag import lagged
 from ahrs_service.sensor.compensation import compensate_columns
 from ahrs_service.sensor.forward import forward_columns
 from ahrs_service.sensor.parameters import Calibration, coefficients
-from ahrs_service.simulation.acting import columns_of
+from ahrs_service.simulation.effect_inputs import columns_of
 from ahrs_service.simulation.imu import consumer_grade
 from ahrs_service.simulation.scenario import make_flight
 

@@ -13,14 +13,14 @@ from ahrs_service.calibration.multi_pose import (
     judge_accelerometer,
     norm_residuals,
 )
-from ahrs_service.calibration.pose_turns import (
+from ahrs_service.calibration.pose_rotations import (
     fit_gyro,
     judge_gyro,
     turn_residuals,
     turns_between,
 )
 from ahrs_service.calibration.poses import directions, find_poses, rest_bias
-from ahrs_service.calibration.turning import turn_and_leverage
+from ahrs_service.calibration.rotating import turn_and_leverage
 from ahrs_service.calibration.verdict import judge
 from tests.calibration.conftest import poses_of
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
-from ahrs_service.calibration import known_turns
+from ahrs_service.calibration import known_rotations
 from ahrs_service.calibration.poses import find_poses
 from ahrs_service.calibration.six_position import (
     FACES,
@@ -76,11 +76,11 @@ def test_full_circles_give_the_gyros(bench):
     columns, flight = bench("six-position", 120.0)
     poses = find_poses(columns)
     accel = fit_accelerometer(poses)
-    turns = known_turns.find_turns(columns, poses, accel, 360.0)
+    turns = known_rotations.find_turns(columns, poses, accel, 360.0)
     assert len(turns.truth) == 6
     assert np.linalg.norm(turns.truth, axis=1) == pytest.approx(2 * math.pi)
     assert turns.left_out == ()
-    gyro = known_turns.fit_gyro(poses, turns)
+    gyro = known_rotations.fit_gyro(poses, turns)
     truth = flight.calibration.gyro
     error = (gyro.matrix - truth.matrix).ravel()
     # Nine parameters of eighteen sums leave nine degrees of freedom to sigma.
@@ -88,7 +88,7 @@ def test_full_circles_give_the_gyros(bench):
     assert error @ np.linalg.solve(gyro.covariance[:9, :9], error) < limit
     assert np.abs(error).max() < 5e-4
     assert gyro.bias == pytest.approx(truth.bias, abs=1e-4)
-    triad = known_turns.judge_gyro(poses, turns, gyro)
+    triad = known_rotations.judge_gyro(poses, turns, gyro)
     assert triad.gain > 0.7
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ahrs_service.calibration.thermal.held_out import hold_out
+from ahrs_service.calibration.thermal.fold_choice import hold_out
 from ahrs_service.calibration.thermal.rows import ThermalRows
 from ahrs_service.calibration.thermal.smooth import fit_smooth, smooth_calibration
 from ahrs_service.calibration.thermal.smooth_choice import Choice, level_outputs, time_folds

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from ahrs_service.diagnosis.agreement import _ratio
+from ahrs_service.diagnosis.judgement.agreement import _ratio
 
 BLOCKS, LENGTH = 12, 2000
 

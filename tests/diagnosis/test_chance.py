@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from ahrs_service.diagnosis.chance import (
+from ahrs_service.diagnosis.hypotheses.candidates import Candidate, Library
+from ahrs_service.diagnosis.hypotheses.score_test import screen
+from ahrs_service.diagnosis.search.search_threshold import (
     FALSE_ALARMS,
     alarm,
     hypotheses,
     maxima,
     over_the_search,
 )
-from ahrs_service.diagnosis.library import Candidate, Library
-from ahrs_service.diagnosis.screen import screen
 from ahrs_service.effects.catalogue import EFFECTS
 
 

@@ -5,14 +5,14 @@ import copy
 import numpy as np
 import pytest
 
-from ahrs_service.app.blind_files import case_bytes
-from ahrs_service.app.recorded_columns import read_columns
-from ahrs_service.diagnosis.blind.case import Request, make
-from ahrs_service.diagnosis.classes import ALIKE, expected_losses
+from ahrs_service.app.diagnose.recorded_columns import read_columns
+from ahrs_service.app.prove.blind_files import case_bytes
+from ahrs_service.blind.case import Request, make
 from ahrs_service.diagnosis.diagnose import compare, diagnose
-from ahrs_service.diagnosis.hypotheses import extend
-from ahrs_service.diagnosis.library import library_of
-from ahrs_service.diagnosis.model import added_rows, bare, settle
+from ahrs_service.diagnosis.hypotheses.candidates import library_of
+from ahrs_service.diagnosis.hypotheses.hypothesis import extend
+from ahrs_service.diagnosis.hypotheses.model import added_rows, bare, settle
+from ahrs_service.diagnosis.judgement.classes import ALIKE, expected_losses
 
 NAMES = ("gyro_thermal_rate", "gyro_thermal_bias", "gyro_current_coupling")
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ahrs_service.app.recorded_columns import read_columns
-from ahrs_service.diagnosis.bench import BenchResidual
+from ahrs_service.app.diagnose.recorded_columns import read_columns
 from ahrs_service.diagnosis.diagnose import compare, diagnose
-from ahrs_service.diagnosis.flight import FlightResidual
+from ahrs_service.diagnosis.input.bench_misfit import BenchResidual
+from ahrs_service.diagnosis.input.flight_misfit import FlightResidual
 from ahrs_service.diagnosis.result import as_json
 
 CASES = Path(__file__).resolve().parents[3] / "shared" / "mismatch" / "cases"

@@ -5,14 +5,14 @@ import pytest
 from scipy.interpolate import BSpline
 from scipy.optimize import minimize_scalar
 
-from ahrs_service.app.blind_files import case_bytes
-from ahrs_service.app.recorded_columns import read_columns
-from ahrs_service.diagnosis.blind.case import Request, make
+from ahrs_service.app.diagnose.recorded_columns import read_columns
+from ahrs_service.app.prove.blind_files import case_bytes
+from ahrs_service.blind.case import Request, make
 from ahrs_service.diagnosis.diagnose import compare, diagnose
-from ahrs_service.diagnosis.form import evidence, is_clearer, is_clearer_than
-from ahrs_service.diagnosis.hypotheses import extend
-from ahrs_service.diagnosis.library import library_of, products, spline_basis
-from ahrs_service.diagnosis.model import bare
+from ahrs_service.diagnosis.hypotheses.candidates import library_of, products, spline_basis
+from ahrs_service.diagnosis.hypotheses.hypothesis import extend
+from ahrs_service.diagnosis.hypotheses.model import bare
+from ahrs_service.diagnosis.hypotheses.named_vs_unknown import evidence, is_clearer, is_clearer_than
 
 
 @pytest.mark.parametrize(("freedom", "gain"), [(1, 3.0), (3, 12.0), (12, 150.0)])

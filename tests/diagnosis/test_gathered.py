@@ -6,11 +6,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.diagnosis.flight import FlightResidual
-from ahrs_service.diagnosis.gathered import gather
-from ahrs_service.diagnosis.instants import instants_on
-from ahrs_service.diagnosis.recorded import Recorded, Series
-from ahrs_service.diagnosis.reference import excursions, jumps, reference_of
+from ahrs_service.diagnosis.input.diagnosis_input import Recorded, Series
+from ahrs_service.diagnosis.input.flight_misfit import FlightResidual
+from ahrs_service.diagnosis.input.preintegrated_misfit import gather
+from ahrs_service.diagnosis.input.reference import excursions, jumps, reference_of
+from ahrs_service.diagnosis.input.sparse_velocity import instants_on
 from ahrs_service.effects.catalogue import effect_of
 
 RADIANS, TURNS_S = 1.2, 2.5

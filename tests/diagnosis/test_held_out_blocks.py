@@ -1,8 +1,8 @@
 """What a block that tells nothing of a number predicts of it: a warm-up lies in the first block."""
 
-from ahrs_service.app.blind_files import case_bytes
-from ahrs_service.app.recorded_columns import read_columns
-from ahrs_service.diagnosis.blind.case import Request, make
+from ahrs_service.app.diagnose.recorded_columns import read_columns
+from ahrs_service.app.prove.blind_files import case_bytes
+from ahrs_service.blind.case import Request, make
 from ahrs_service.diagnosis.diagnose import diagnose
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ahrs_service.diagnosis.known import with_effects, without_effects
-from ahrs_service.diagnosis.recorded import Recorded, Series
+from ahrs_service.diagnosis.input.diagnosis_input import Recorded, Series
+from ahrs_service.diagnosis.input.effect_removal import with_effects, without_effects
 from ahrs_service.effects.catalogue import effect_of
 from ahrs_service.sensor.noise import gauss_markov
 

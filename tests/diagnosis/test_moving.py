@@ -5,7 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from ahrs_service.diagnosis.motion import moving
+from ahrs_service.diagnosis.input.reference_motion import moving
 from ahrs_service.effects.base import Columns
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ahrs_service.diagnosis.preintegration import preintegrate
+from ahrs_service.diagnosis.input.preintegration import preintegrate
 
 
 def gathered(imu_s, gyro, accel, at_s, excess=(0.0, 0.0, 0.0)):

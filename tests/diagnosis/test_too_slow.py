@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ahrs_service.diagnosis.diagnose import compare
-from ahrs_service.diagnosis.recorded import Recorded, Series
+from ahrs_service.diagnosis.input.diagnosis_input import Recorded, Series
 
 
 def swinging(rate_hz, seconds=300.0, turn_rad_s=0.5):

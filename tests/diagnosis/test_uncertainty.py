@@ -5,16 +5,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from ahrs_service.diagnosis.kalman import whiten_channel
-from ahrs_service.diagnosis.library import Term
-from ahrs_service.diagnosis.likelihood import Posterior, fit, fit_noise
-from ahrs_service.diagnosis.model import Model
-from ahrs_service.diagnosis.uncertainty import (
+from ahrs_service.diagnosis.hypotheses.candidates import Term
+from ahrs_service.diagnosis.hypotheses.model import Model
+from ahrs_service.diagnosis.judgement.uncertainty import (
     CHOSEN,
     covariance_by_blocks,
     marginal_covariance,
     variances,
 )
+from ahrs_service.diagnosis.noise_model.kalman import whiten_channel
+from ahrs_service.diagnosis.noise_model.likelihood import Posterior, fit, fit_noise
 from ahrs_service.effects.catalogue import EFFECTS
 
 STEP_S, TIME_S = 1.0, 30.0

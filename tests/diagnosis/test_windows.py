@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ahrs_service.diagnosis.windows import gathered_means, means
+from ahrs_service.diagnosis.input.windows import gathered_means, means
 from ahrs_service.rotation import rotate_columns
 
 COUNT, WINDOW = 103, 5

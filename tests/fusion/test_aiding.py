@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ahrs_service import pipeline
-from ahrs_service.fusion import aiding, heading, states
+from ahrs_service.fusion import ground_velocity, heading, states
 from ahrs_service.records import ESTIMATE_DTYPE, Airframe, Flag, empty
 from ahrs_service.rotation import inverse_columns, multiply_columns
 from ahrs_service.sensor.parameters import Calibration, coefficients
@@ -36,7 +36,9 @@ def heard(flight, lag_s=0.0, airframe=Airframe.FIXED_WING, turned_rad=0.0, magne
 def noisy(samples, seed):
     """The same with white noise [m/s] in each velocity."""
     samples, rng = samples.copy(), np.random.default_rng(seed)
-    samples["velocity_ned_m_s"][:, :2] += rng.normal(0.0, aiding.SIGMA_M_S, (len(samples), 2))
+    samples["velocity_ned_m_s"][:, :2] += rng.normal(
+        0.0, ground_velocity.SIGMA_M_S, (len(samples), 2)
+    )
     return samples
 
 

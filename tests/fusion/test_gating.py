@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ahrs_service.app.config_file import ConfigError, from_json, load, to_json
+from ahrs_service.app.files.config_file import ConfigError, from_json, load, to_json
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2 as G
 from ahrs_service.fusion.gating import (
     angular_acceleration_limit,

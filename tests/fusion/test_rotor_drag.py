@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from ahrs_service import pipeline
+from ahrs_service.attitude_interpolation import rotation_vectors
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.instants import rotation_vectors
 from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, Airframe, empty
 from ahrs_service.rotation import (
     inverse_columns,

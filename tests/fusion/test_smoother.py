@@ -5,6 +5,7 @@ import pytest
 
 from ahrs_service import pipeline
 from ahrs_service.fusion import mekf, smoother
+from ahrs_service.fusion.smoother_history import CHAINED, NODE_DTYPE, START
 from ahrs_service.fusion.states import (
     AIDED,
     ERROR_STATES,
@@ -14,7 +15,6 @@ from ahrs_service.fusion.states import (
     VELOCITY,
     WIND,
 )
-from ahrs_service.fusion.tape import CHAINED, NODE_DTYPE, START
 from ahrs_service.records import ESTIMATE_DTYPE, empty
 from ahrs_service.rotation import multiply_columns
 

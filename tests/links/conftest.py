@@ -4,11 +4,11 @@ from collections import Counter
 
 import pytest
 
+from ahrs_service.links.component.component import Component
+from ahrs_service.links.mavlink.codec import Encoder, decode_frame, dialect
+from ahrs_service.links.simulated.autopilot import DEFAULT_RATES_HZ, SimulatedAutopilot
 from ahrs_service.settings import Settings
 from ahrs_service.simulation.scenario import make_flight
-from links.autopilot import DEFAULT_RATES_HZ, SimulatedAutopilot
-from links.component import Component
-from links.mavlink_codec import Encoder, decode_frame, dialect
 from tests.links.messages import heartbeat
 
 LOOP_HZ = 400.0

@@ -10,8 +10,8 @@ from collections.abc import AsyncIterator, Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
-from links.link import Link, LinkState, Peer
-from links.registry import open_link
+from ahrs_service.links.transport.link import Link, LinkState, Peer
+from ahrs_service.links.transport.registry import open_link
 
 
 def frame(number: int) -> bytes:

@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
+from ahrs_service.links.logs.tlog import tlog_record
+from ahrs_service.links.mavlink.codec import Encoder, dialect
 from ahrs_service.records import ESTIMATE_DTYPE, Phase, empty
-from links.mavlink_codec import Encoder, dialect
-from links.tlog import tlog_record
 
 ARDUPILOT, INVALID = dialect.MAV_AUTOPILOT_ARDUPILOTMEGA, dialect.MAV_AUTOPILOT_INVALID
 START_US = 1_700_000_000_000_000

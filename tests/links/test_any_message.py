@@ -6,9 +6,9 @@ import struct
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from ahrs_service.links.component.component import Component
+from ahrs_service.links.mavlink.codec import Encoder, decode_frame, dialect
 from ahrs_service.settings import PublishSettings, Settings
-from links.component import Component
-from links.mavlink_codec import Encoder, decode_frame, dialect
 from tests.links.messages import INVALID, estimate, heartbeat
 
 NUMBERS = sorted(dialect.mavlink_map)

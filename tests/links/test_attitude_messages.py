@@ -5,11 +5,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ahrs_service.links.component.attitude_messages import (
+    Cadence,
+    Publisher,
+    attitude_quaternion,
+    boot_ms,
+    named_values,
+)
+from ahrs_service.links.mavlink.codec import Encoder, decode_frame
 from ahrs_service.records import ESTIMATE_DTYPE, empty
 from ahrs_service.rotation import quaternion_columns
 from ahrs_service.settings import PublishSettings
-from links.attitude_messages import Cadence, Publisher, attitude_quaternion, boot_ms, named_values
-from links.mavlink_codec import Encoder, decode_frame
 
 MS = 1_000_000
 S = 1_000_000_000

@@ -4,10 +4,14 @@ import math
 import numpy as np
 import pytest
 
+from ahrs_service.links.mavlink.codec import Decoder, Encoder, dialect
+from ahrs_service.links.simulated.autopilot import (
+    DEFAULT_RATES_HZ,
+    SimulatedAutopilot,
+    granted_interval_ms,
+)
+from ahrs_service.links.simulated.autopilot_messages import BOOT_US
 from ahrs_service.simulation.scenario import make_flight
-from links.autopilot import DEFAULT_RATES_HZ, SimulatedAutopilot, granted_interval_ms
-from links.autopilot_messages import BOOT_US
-from links.mavlink_codec import Decoder, Encoder, dialect
 
 RATE_HZ = 200.0
 

@@ -3,10 +3,10 @@ import math
 import numpy as np
 import pytest
 
+from ahrs_service.links.component.component import Component
+from ahrs_service.links.mavlink.codec import Encoder, decode_frame, dialect
 from ahrs_service.records import ESTIMATE_DTYPE, Phase, empty
 from ahrs_service.settings import PublishSettings, Settings
-from links.component import Component
-from links.mavlink_codec import Encoder, decode_frame, dialect
 
 GROUND = (255, 190)
 ACCEPTED = dialect.MAV_RESULT_ACCEPTED

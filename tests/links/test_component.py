@@ -4,9 +4,9 @@ import itertools
 
 import pytest
 
+from ahrs_service.links.component.component import Component
+from ahrs_service.links.mavlink.codec import dialect
 from ahrs_service.settings import IntakeSettings, LinkSettings, PublishSettings, Settings
-from links.component import Component
-from links.mavlink_codec import dialect
 from tests.links.messages import ARDUPILOT, INVALID, estimate, heartbeat
 
 

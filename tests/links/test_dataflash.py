@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ahrs_service.links.errors import RecordingError
+from ahrs_service.links.logs.dataflash import read_dataflash
+from ahrs_service.links.logs.dataflash_tables import DataFlashFile, read_tables
+from ahrs_service.links.logs.recording_formats import read_recording
 from ahrs_service.records import ImuSource, Kind
 from ahrs_service.rotation import matrix, quaternion_columns
-from links.dataflash import read_dataflash
-from links.dataflash_tables import DataFlashFile, read_tables
-from links.errors import RecordingError
-from links.recording_formats import read_recording
 from tests.links.dataflash_records import IMU_FORMAT, fmt, imu
 
 LOGS = [

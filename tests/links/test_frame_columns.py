@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from pymavlink import mavutil
 
-from links.errors import RecordingError
-from links.frame_columns import MessageColumns, tlog_bytes
+from ahrs_service.links.errors import RecordingError
+from ahrs_service.links.mavlink.frame_columns import MessageColumns, tlog_bytes
 
 
 def test_pymavlink_reads_every_field(tmp_path):

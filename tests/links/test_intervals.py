@@ -3,9 +3,9 @@ import itertools
 
 import pytest
 
+from ahrs_service.links.component.message_rates import ANSWER_S, Intervals
+from ahrs_service.links.mavlink.codec import dialect
 from ahrs_service.settings import LinkSettings, Settings
-from links.intervals import ANSWER_S, Intervals
-from links.mavlink_codec import dialect
 
 ACCEPTED = dialect.MAV_RESULT_ACCEPTED
 DENIED = dialect.MAV_RESULT_DENIED

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from links.link import LinkState, receipt_clock
-from links.registry import open_link
+from ahrs_service.links.transport.link import LinkState, receipt_clock
+from ahrs_service.links.transport.registry import open_link
 from tests.links.far_end import KINDS, STREAMS, Far, Heard, frame, joined, run
 
 
@@ -96,7 +96,7 @@ def test_the_far_end_vanishes_and_returns(
             far.vanish()
             if kind == "udpin":
                 with monkeypatch.context() as patch:
-                    patch.setattr("links.udp.PEER_SILENCE_S", -1.0)
+                    patch.setattr("ahrs_service.links.transport.udp.PEER_SILENCE_S", -1.0)
                     assert not link.send(frame(0))
             await heard.state(LinkState.DOWN)
             assert not link.send(frame(1))

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from links.errors import LinkOpenError
-from links.link import LinkState
-from links.registry import open_link
+from ahrs_service.links.errors import LinkOpenError
+from ahrs_service.links.transport.link import LinkState
+from ahrs_service.links.transport.registry import open_link
 from tests.links.far_end import Heard, frame, joined, run
 
 
@@ -102,7 +102,7 @@ def test_tcpin_turns_a_second_client_away_unless_the_first_is_silent(
             assert link.counts.peers_refused == 1
             await far.send(frame(1))
             await heard.until(lambda: frame(1) in heard.data)
-            monkeypatch.setattr("links.tcp.SILENT_CLIENT_S", -1.0)
+            monkeypatch.setattr("ahrs_service.links.transport.tcp.SILENT_CLIENT_S", -1.0)
             await loop.sock_connect(third, ("127.0.0.1", far.port))
             await heard.until(lambda: link.counts.connects == 2)
             await loop.sock_sendall(third, frame(2))

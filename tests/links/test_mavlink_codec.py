@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from links.mavlink_codec import Decoder, Encoder, decode_frame, dialect
+from ahrs_service.links.mavlink.codec import Decoder, Encoder, decode_frame, dialect
 
 KNOWN_IDS = sorted(dialect.mavlink_map)
 UNKNOWN_ID = 59_999

@@ -5,9 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from links.errors import ParamFileError
-from links.param_files import INT32, REAL32, ParamValue, read_param_file, write_param_file
-from links.parameter_values import rounded
+from ahrs_service.links.component.parameter_values import rounded
+from ahrs_service.links.errors import ParamFileError
+from ahrs_service.links.logs.param_files import (
+    INT32,
+    REAL32,
+    ParamValue,
+    read_param_file,
+    write_param_file,
+)
 
 NAMES = st.from_regex(r"[A-Z][A-Z0-9_]{0,15}", fullmatch=True)
 FLOATS = st.floats(width=32, allow_nan=False, allow_infinity=False)

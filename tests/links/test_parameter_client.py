@@ -9,20 +9,31 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from links.autopilot_parameters import AutopilotParameters, ardupilot_ins, px4_calibration
-from links.errors import ParamError
-from links.mavlink_codec import dialect
-from links.param_files import INT32, REAL32, ParamValue
-from links.parameter_client import ParameterClient
-from links.parameter_values import ARDUPILOT, PX4, decode, encode, param_name, rounded
+from ahrs_service.links.component.parameter_client import ParameterClient
+from ahrs_service.links.component.parameter_values import (
+    ARDUPILOT,
+    PX4,
+    decode,
+    encode,
+    param_name,
+    rounded,
+)
+from ahrs_service.links.errors import ParamError
+from ahrs_service.links.logs.param_files import INT32, REAL32, ParamValue
+from ahrs_service.links.mavlink.codec import dialect
+from ahrs_service.links.simulated.autopilot_parameters import (
+    AutopilotParameters,
+    ardupilot_ins,
+    px4_calibration,
+)
 
 INT8 = int(dialect.MAV_PARAM_TYPE_INT8)
 
 
 @pytest.fixture(autouse=True)
 def short_waits(monkeypatch):
-    monkeypatch.setattr("links.parameter_client.ANSWER_S", 0.05)
-    monkeypatch.setattr("links.parameter_client.SILENCE_S", 0.3)
+    monkeypatch.setattr("ahrs_service.links.component.parameter_client.ANSWER_S", 0.05)
+    monkeypatch.setattr("ahrs_service.links.component.parameter_client.SILENCE_S", 0.3)
 
 
 @asynccontextmanager
@@ -165,7 +176,7 @@ def test_nobody_there_and_a_vehicle_that_falls_silent_are_told(live, tmp_path, m
                 await client.read(["INS_ACCOFFS_X"])
             with pytest.raises(ParamError, match=r"INS_ACCOFFS_X = 1\.0: no answer"):
                 await client.write("INS_ACCOFFS_X", ParamValue(1.0))
-        monkeypatch.setattr("links.parameter_client.VEHICLE_S", 0.1)
+        monkeypatch.setattr("ahrs_service.links.component.parameter_client.VEHICLE_S", 0.1)
         with pytest.raises(ParamError, match=r"no heartbeat of an autopilot in 0 s"):
             async with ParameterClient("udpin:127.0.0.1:0"):
                 pass

@@ -4,11 +4,11 @@ import math
 import numpy as np
 import pytest
 
-from ahrs_service.app import config_file
+from ahrs_service.app.files import config_file
+from ahrs_service.links.component.component import Component
+from ahrs_service.links.component.parameters import PARAMETERS, change, read
+from ahrs_service.links.mavlink.codec import dialect
 from ahrs_service.settings import Settings
-from links.component import Component
-from links.mavlink_codec import dialect
-from links.parameters import PARAMETERS, change, read
 
 REAL32 = dialect.MAV_PARAM_TYPE_REAL32
 NAMES = list(PARAMETERS)

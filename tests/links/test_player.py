@@ -15,11 +15,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ahrs_service.app.cli import main
-from links.link import LinkState
-from links.mavlink_codec import Encoder, dialect
-from links.player import due_s, play
-from links.registry import open_link
-from links.tlog import read_tlog, tlog_record
+from ahrs_service.links.logs.player import due_s, play
+from ahrs_service.links.logs.tlog import read_tlog, tlog_record
+from ahrs_service.links.mavlink.codec import Encoder, dialect
+from ahrs_service.links.transport.link import LinkState
+from ahrs_service.links.transport.registry import open_link
 
 FIRST_US = 1_700_000_000_000_000
 ROOT = Path(__file__).resolve().parents[2]

@@ -1,12 +1,16 @@
 import pytest
 from pyulog import ULog
 
-from links.autopilot_parameters import AutopilotParameters, ardupilot_ins, px4_calibration
-from links.errors import RecordingError
-from links.mavlink_codec import Encoder, decode_frame, dialect
-from links.parameter_values import ARDUPILOT, PX4
-from links.recorded_parameters import read_recorded_parameters
-from links.tlog import tlog_record
+from ahrs_service.links.component.parameter_values import ARDUPILOT, PX4
+from ahrs_service.links.errors import RecordingError
+from ahrs_service.links.logs.recorded_parameters import read_recorded_parameters
+from ahrs_service.links.logs.tlog import tlog_record
+from ahrs_service.links.mavlink.codec import Encoder, decode_frame, dialect
+from ahrs_service.links.simulated.autopilot_parameters import (
+    AutopilotParameters,
+    ardupilot_ins,
+    px4_calibration,
+)
 
 
 def write_tlog(path, frames):

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from links.mavlink_codec import Encoder, dialect
-from links.recorder import Recorder
-from links.signing import Signer
-from links.tlog import TlogFile, read_tlog, strip_signature
+from ahrs_service.links.logs.recorder import Recorder
+from ahrs_service.links.logs.tlog import TlogFile, read_tlog, strip_signature
+from ahrs_service.links.mavlink.codec import Encoder, dialect
+from ahrs_service.links.mavlink.signing import Signer
 
 FIRST_US = 1_700_000_000_000_000
 MESSAGE = dialect.MAVLink_attitude_message(1000, 0.5, -0.25, 3.0, 0.0, 0.0, 0.0)
@@ -164,7 +164,7 @@ def test_a_full_disk_leaves_whole_frames_and_is_said_once(tmp_path: Path) -> Non
 def test_a_disk_with_little_left_is_not_filled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("links.recorder.KEEP_FREE_MB", 1e12)
+    monkeypatch.setattr("ahrs_service.links.logs.recorder.KEEP_FREE_MB", 1e12)
     notes: list[str] = []
     recorder = Recorder(tmp_path, on_note=notes.append)
     recorder.write(FIRST_US, frames(1)[0])
@@ -194,7 +194,7 @@ def test_a_place_that_cannot_be_written_is_said_once(tmp_path: Path, name: str) 
 
 WRITER = """
 import sys
-from links.recorder import Recorder
+from ahrs_service.links.logs.recorder import Recorder
 recorder = Recorder(sys.argv[1])
 frame = bytes.fromhex(sys.argv[2])
 for i in range(10**9):

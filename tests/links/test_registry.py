@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
+from ahrs_service.links.errors import UriError
+from ahrs_service.links.transport.address import host_and_port, place
+from ahrs_service.links.transport.link import Link, LinkState
+from ahrs_service.links.transport.registry import SCHEMES, open_link
 from ahrs_service.settings import Settings
-from links.address import host_and_port, place
-from links.errors import UriError
-from links.link import Link, LinkState
-from links.registry import SCHEMES, open_link
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from links.mavlink_codec import dialect
+from ahrs_service.links.mavlink.codec import dialect
 
 BOOT_WRAP_MS = 2**32
 

@@ -5,8 +5,8 @@ import struct
 import numpy as np
 import pytest
 
+from ahrs_service.links.logs.dataflash import read_dataflash
 from ahrs_service.records import Kind
-from links.dataflash import read_dataflash
 from tests.links.dataflash_records import IMU_FORMAT, fmt, imu
 
 FIX_FORMAT = fmt(0x91, "GPS", "QBIHfff", "TimeUS,Status,GMS,GWk,Spd,GCrs,VZ")

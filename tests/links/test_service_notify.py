@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from links.service_notify import ServiceNotifier
+from ahrs_service.links.transport.service_notify import ServiceNotifier
 
 
 @pytest.fixture(params=["path", "abstract"])

@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from links.errors import SigningError
-from links.mavlink_codec import Encoder, dialect
-from links.signing import (
+from ahrs_service.links.errors import SigningError
+from ahrs_service.links.logs.tlog import strip_signature
+from ahrs_service.links.mavlink.codec import Encoder, dialect
+from ahrs_service.links.mavlink.signing import (
     AHEAD_LIMIT,
     NEW_STREAM_AGE,
     SAVE_FRAMES,
@@ -23,7 +24,6 @@ from links.signing import (
     key_from_text,
     message_id,
 )
-from links.tlog import strip_signature
 
 KEY = key_from_text("a passphrase")
 NOW = 11 * 365 * 86400 * TICKS_PER_S

@@ -4,8 +4,8 @@ import itertools
 
 import pytest
 
-from links.mavlink_codec import Encoder, decode_frame, dialect
-from links.status_texts import StatusTexts
+from ahrs_service.links.component.status_texts import StatusTexts
+from ahrs_service.links.mavlink.codec import Encoder, decode_frame, dialect
 
 
 def said(texts, start_s, end_s):

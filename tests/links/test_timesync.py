@@ -2,8 +2,8 @@ import random
 
 import pytest
 
-from links.mavlink_codec import dialect
-from links.timesync import TimeSync
+from ahrs_service.links.component.timesync import TimeSync
+from ahrs_service.links.mavlink.codec import dialect
 
 BOOT_NS = 5_000_000_000
 """The autopilot's clock when ours says 1000 s."""

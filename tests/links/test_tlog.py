@@ -14,10 +14,10 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from links.errors import RecordingError
-from links.layouts import table_dtype
-from links.mavlink_codec import Encoder, dialect
-from links.tlog import TlogFile, read_tlog, strip_signature, tlog_record
+from ahrs_service.links.errors import RecordingError
+from ahrs_service.links.logs.tlog import TlogFile, read_tlog, strip_signature, tlog_record
+from ahrs_service.links.mavlink.codec import Encoder, dialect
+from ahrs_service.links.mavlink.layouts import table_dtype
 
 START_US = 1_700_000_000_000_000
 UNKNOWN_ID = 59_999
@@ -343,8 +343,8 @@ def test_what_pymavlink_finds_in_a_damaged_file_is_found(tmp_path: Path, content
 SCAN_ALL = """
 import hashlib, sys
 import numpy as np
-from links.frames import FRAME_DTYPE, SCAN_DTYPE, scan_stream, scan_tlog
-from links.mavlink_codec import CRC_EXTRA
+from ahrs_service.links.mavlink.frames import FRAME_DTYPE, SCAN_DTYPE, scan_stream, scan_tlog
+from ahrs_service.links.mavlink.codec import CRC_EXTRA
 
 seen = hashlib.sha256()
 for line in sys.stdin.read().split():

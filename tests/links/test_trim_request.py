@@ -4,10 +4,10 @@ import itertools
 
 import pytest
 
+from ahrs_service.links.component.component import Component
+from ahrs_service.links.component.trim_request import ATTEMPTS
+from ahrs_service.links.mavlink.codec import dialect
 from ahrs_service.settings import Settings
-from links.component import Component
-from links.mavlink_codec import dialect
-from links.trim_request import ATTEMPTS
 
 NAMES = ["AHRS_TRIM_X", "AHRS_TRIM_Y"]
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from pyulog import ULog
 
+from ahrs_service.links.errors import RecordingError
+from ahrs_service.links.logs.ulog import read_ulog
 from ahrs_service.records import ImuSource, Kind
-from links.errors import RecordingError
-from links.ulog import read_ulog
 
 HEADER = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1_000)
 IMU_FIELDS = (

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ahrs_service import pipeline
-from ahrs_service.app.config_file import load
+from ahrs_service.app.files.config_file import load
 from ahrs_service.comparison import compare
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2 as G
 from ahrs_service.records import ESTIMATE_DTYPE, Airframe, Phase, empty

@@ -9,8 +9,8 @@ from ahrs_service.calibration.autopilots.double_compensation import (
     forms_in_force,
 )
 from ahrs_service.calibration.autopilots.px4_params import from_px4, to_px4
+from ahrs_service.links.logs.recorded_parameters import read_recorded_parameters
 from ahrs_service.records import ImuSource
-from links.recorded_parameters import read_recorded_parameters
 
 KNOWN = {
     # name: (largest offset of IMU 1 [m/s^2], told by another than the vehicle)

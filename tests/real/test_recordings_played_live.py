@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ahrs_service.app.replay_log import replay_log
+from ahrs_service.app.replay.replay_log import replay_log
+from ahrs_service.links.logs.player import play
+from ahrs_service.links.logs.tlog import TlogFile, read_tlog
+from ahrs_service.links.mavlink.codec import Encoder, dialect
 from ahrs_service.records import Gate, Phase
-from links.mavlink_codec import Encoder, dialect
-from links.player import play
-from links.tlog import TlogFile, read_tlog
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = [sys.executable, "-m", "ahrs_service.app.cli", "run"]

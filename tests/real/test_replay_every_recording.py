@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ahrs_service.app.replay_log import replay_log
+from ahrs_service.app.replay.replay_log import replay_log
+from ahrs_service.links.errors import RecordingError
 from ahrs_service.records import Phase
 from ahrs_service.settings import FusionSettings, Settings
-from links.errors import RecordingError
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 RECORDINGS = [

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from ahrs_service.app import config_file
-from ahrs_service.app.columns import Columns
-from ahrs_service.app.estimate import estimate_columns
+from ahrs_service.app.estimate.command import estimate_columns
+from ahrs_service.app.estimate.sample_columns import Columns
+from ahrs_service.app.files import config_file
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.rotation import inverse_columns, rotate_columns
 from ahrs_service.simulation.scenario import make_flight

@@ -7,10 +7,10 @@ import random
 import numpy as np
 import pytest
 
-from ahrs_service.app import config_file
-from ahrs_service.app.replay_log import replay_log
+from ahrs_service.app.files import config_file
+from ahrs_service.app.replay.replay_log import replay_log
+from ahrs_service.links.logs.session_marks import MarkKind, mark_messages
 from ahrs_service.settings import GateSettings, Settings
-from links.session_marks import MarkKind, mark_messages
 
 GROUND = (255, 190)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from viz.airframe import PORT_RED, STARBOARD_GREEN, aircraft
+from ahrs_service.viz.airframe import PORT_RED, STARBOARD_GREEN, aircraft
 
 PAINT = (45, 110, 225)
 

@@ -8,7 +8,7 @@ import pytest
 from ahrs_service.records import READING_DTYPE, Gate, Phase, empty
 from ahrs_service.rotation import euler_columns
 from ahrs_service.settings import GateSettings
-from viz import batch, entities
+from ahrs_service.viz import batch, entities
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ahrs_service.records import ESTIMATE_DTYPE, Flag, Gate, Phase, empty
-from viz import states
-from viz.clock import Clock
+from ahrs_service.viz import states
+from ahrs_service.viz.clock import Clock
 
 S = 1_000_000_000
 

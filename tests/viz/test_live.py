@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ahrs_service.records import READING_DTYPE, empty
-from viz import batch, entities
-from viz.live import LiveViewer, ViewerError
+from ahrs_service.viz import batch, entities
+from ahrs_service.viz.live import LiveViewer, ViewerError
 
 HTTP2_PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])
 SETTINGS_FRAME = 4
@@ -161,5 +161,6 @@ def test_closing_what_never_started_does_nothing():
 
 
 def test_rerun_is_not_imported_until_the_thread_runs():
-    code = "import sys, viz.live; viz.live.LiveViewer(9876); sys.exit('rerun' in sys.modules)"
+    code = "import sys; from ahrs_service.viz import live; live.LiveViewer(9876); "
+    code += "sys.exit('rerun' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

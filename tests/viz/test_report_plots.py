@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from viz import report_plots as plots
+from ahrs_service.viz import report_plots as plots
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from viz import report_plots
-from viz.report_rrd import write_report
+from ahrs_service.viz import report_plots
+from ahrs_service.viz.report_rrd import write_report
 
 
 @pytest.fixture

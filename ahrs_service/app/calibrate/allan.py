@@ -176,7 +176,7 @@ def _table(triad: str, axes: tuple[NoiseCoefficients, ...]) -> Table:
 
 
 def _draw(path: Path, title: str, curves: dict[str, tuple[AllanDeviation, ...]]) -> None:
-    from viz.allan_figure import draw_allan  # noqa: PLC0415 - matplotlib is slow to load
+    from ahrs_service.viz.allan_figure import draw_allan  # noqa: PLC0415 - matplotlib is slow to load
 
     axes = {
         f"{triad} [{_UNITS[triad][0]}]": [

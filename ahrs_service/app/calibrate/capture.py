@@ -14,17 +14,17 @@ from typing import Final
 import numpy as np
 
 from ahrs_service import intake
-from ahrs_service.app.config_file import ConfigError
+from ahrs_service.app.files.config_file import ConfigError
 from ahrs_service.calibration.autopilots.double_compensation import already_compensated
 from ahrs_service.calibration.columns import ImuColumns
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.links.errors import RecordingError
+from ahrs_service.links.logs.recorded_parameters import read_recorded_parameters
+from ahrs_service.links.logs.recording import Recording
+from ahrs_service.links.logs.recording_formats import KNOWN, read_recording
 from ahrs_service.records import SAMPLE_DTYPE, ImuSource, Kind, Rows, empty
 from ahrs_service.settings import IntakeSettings
-from links.errors import RecordingError
-from links.recorded_parameters import read_recorded_parameters
-from links.recording import Recording
-from links.recording_formats import KNOWN, read_recording
 
 _BETWEEN_RECORDINGS_S: Final = 1000.0
 _LEAST_IN_ORDER: Final = 0.9

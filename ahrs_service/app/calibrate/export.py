@@ -22,21 +22,21 @@ from typing import Final
 from rich.console import Console
 from rich.markup import escape
 
-from ahrs_service.app import calibration_file, config_file
 from ahrs_service.app.calibrate import parameter_change
 from ahrs_service.app.calibrate.conversion import exports_of, typed
 from ahrs_service.app.calibrate.loss_table import loss_table
-from ahrs_service.app.config_file import ConfigError
+from ahrs_service.app.files import calibration_file, config_file
+from ahrs_service.app.files.config_file import ConfigError
 from ahrs_service.calibration.autopilots import ardupilot_params, px4_params
 from ahrs_service.calibration.autopilots.double_compensation import already_compensated
 from ahrs_service.calibration.autopilots.export import Export
+from ahrs_service.links.component.parameter_client import ParameterClient
+from ahrs_service.links.component.parameter_values import ARDUPILOT, PX4
+from ahrs_service.links.errors import ParamError
+from ahrs_service.links.logs.param_files import read_param_file, write_param_file
+from ahrs_service.links.mavlink.signing import Signer, key_from_text
 from ahrs_service.records import ImuSource
 from ahrs_service.sensor.parameters import Calibration
-from links.errors import ParamError
-from links.param_files import read_param_file, write_param_file
-from links.parameter_client import ParameterClient
-from links.parameter_values import ARDUPILOT, PX4
-from links.signing import Signer, key_from_text
 
 AUTOPILOTS: Final = {"ardupilot": ARDUPILOT, "px4": PX4}
 FORMATS: Final = ("mission-planner", "qgroundcontrol")

@@ -20,7 +20,6 @@ from typing import Final
 from rich.console import Console
 from rich.markup import escape
 
-from ahrs_service.app import calibration_file
 from ahrs_service.app.calibrate.conversion import parameters_of, rotation_of
 from ahrs_service.app.calibrate.export import (
     EXIT_DONE,
@@ -29,11 +28,12 @@ from ahrs_service.app.calibrate.export import (
     signer_of,
     speaker,
 )
+from ahrs_service.app.files import calibration_file
 from ahrs_service.calibration.autopilots import ardupilot_params, px4_params
+from ahrs_service.links.component.parameter_client import ParameterClient
+from ahrs_service.links.errors import ParamError
 from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.sensor.provenance import Provenance, SourceRecording
-from links.errors import ParamError
-from links.parameter_client import ParameterClient
 
 _TOLD_APART: Final = 3
 """How many IMUs have messages of their own."""

@@ -6,7 +6,7 @@ from typing import Final
 
 from rich.table import Table
 
-from ahrs_service.calibration.autopilots.form import Triad
+from ahrs_service.calibration.autopilots.compensation_model import Triad
 from ahrs_service.calibration.autopilots.loss import Loss
 
 _UNITS: Final = {"m/s^2": (1.0, "m/s²"), "rad/s": (math.degrees(1.0), "°/s")}

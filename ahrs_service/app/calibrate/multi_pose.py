@@ -25,7 +25,7 @@ from ahrs_service.calibration.multi_pose import (
     fit_accelerometer,
     judge_accelerometer,
 )
-from ahrs_service.calibration.pose_turns import fit_gyro, judge_gyro
+from ahrs_service.calibration.pose_rotations import fit_gyro, judge_gyro
 from ahrs_service.calibration.verdict import Finding, Level, judge
 
 _WANTED: Final = 18

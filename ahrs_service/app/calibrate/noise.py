@@ -28,8 +28,8 @@ from rich.text import Text
 from ahrs_service.app import options
 from ahrs_service.app.calibrate import capture, session
 from ahrs_service.app.calibrate.allan import longest_still
-from ahrs_service.app.config_file import ConfigError
-from ahrs_service.app.replay_log import replay_log
+from ahrs_service.app.files.config_file import ConfigError
+from ahrs_service.app.replay.replay_log import replay_log
 from ahrs_service.calibration.allan import overlapping_deviation, random_walk_at
 from ahrs_service.calibration.columns import AXES, ImuColumns
 from ahrs_service.calibration.errors import CalibrationError

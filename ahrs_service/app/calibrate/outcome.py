@@ -14,9 +14,10 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from ahrs_service.app import calibration_file, options
+from ahrs_service.app import options
 from ahrs_service.app.calibrate.capture import Capture
-from ahrs_service.app.config_file import ConfigError
+from ahrs_service.app.files import calibration_file
+from ahrs_service.app.files.config_file import ConfigError
 from ahrs_service.calibration.triad import NAMES, TriadFit, vector
 from ahrs_service.calibration.verdict import Level, TriadVerdict, Verdict
 from ahrs_service.records import IMU_OF_SOURCE, ImuSource

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ahrs_service.app.calibrate import capture, outcome, poses
-from ahrs_service.app.config_file import ConfigError
+from ahrs_service.app.files.config_file import ConfigError
 from ahrs_service.calibration.columns import check_saturation
 from ahrs_service.calibration.rate_table import (
     Mounting,

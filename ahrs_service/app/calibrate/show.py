@@ -19,15 +19,15 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from ahrs_service.app import calibration_file
-from ahrs_service.app.config_file import ConfigError
+from ahrs_service.app.files import calibration_file
+from ahrs_service.app.files.config_file import ConfigError
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.records import Floats
 from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.forward import forward_columns
 from ahrs_service.sensor.parameters import NIL, Calibration, TriadCalibration, coefficients
-from viz.calibration_curves import CalibrationView, Curves, draw_png
-from viz.calibration_curves import write_rrd as write_view
+from ahrs_service.viz.calibration_curves import CalibrationView, Curves, draw_png
+from ahrs_service.viz.calibration_curves import write_rrd as write_view
 
 EXIT_DONE: Final = 0
 _MG: Final = 1e3 / STANDARD_GRAVITY_M_S2

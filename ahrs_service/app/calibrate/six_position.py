@@ -18,7 +18,7 @@ from functools import partial
 
 from ahrs_service.app.calibrate import capture, outcome, poses, session
 from ahrs_service.app.options import positive
-from ahrs_service.calibration import known_turns
+from ahrs_service.calibration import known_rotations
 from ahrs_service.calibration.guide import guide_six_position
 from ahrs_service.calibration.six_position import fit_accelerometer, judge_accelerometer
 from ahrs_service.calibration.verdict import Finding, Level, judge
@@ -56,15 +56,15 @@ def calibrate(captures: list[capture.Capture], arguments: argparse.Namespace) ->
     fits, triads = {"accel": accel}, [judge_accelerometer(found, accel, gravity)]
     remarks = list(poses.remarks(captures, found))
     if not arguments.no_turns:
-        turns = known_turns.find_turns(columns, found, accel, arguments.turn)
+        turns = known_rotations.find_turns(columns, found, accel, arguments.turn)
         if turns.left_out:
             more = f" (one of {len(turns.left_out)} such turns)" if turns.left_out[1:] else ""
             remarks.append(Finding(Level.WARNING, f"{turns.left_out[0]}{more}"))
         if len(turns.truth):
             for one in captures:
                 capture.check_rate(one, poses.LEAST_TURN_HZ, "summing up a turn")
-            fits["gyro"] = known_turns.fit_gyro(found, turns)
-            triads.append(known_turns.judge_gyro(found, turns, fits["gyro"]))
+            fits["gyro"] = known_rotations.fit_gyro(found, turns)
+            triads.append(known_rotations.judge_gyro(found, turns, fits["gyro"]))
         else:
             text = "the gyros are not calibrated: no turn flat on the table is in the recording"
             remarks.append(Finding(Level.NOTE, text))

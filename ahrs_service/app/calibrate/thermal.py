@@ -33,17 +33,17 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from ahrs_service.app import calibration_file
 from ahrs_service.app.calibrate import capture, outcome, poses, session
+from ahrs_service.app.files import calibration_file
 from ahrs_service.app.options import positive
 from ahrs_service.calibration.thermal.guide import guide_thermal
 from ahrs_service.calibration.thermal.procedure import PROCEDURE, ThermalResult, calibrate_thermal
 from ahrs_service.calibration.verdict import TriadVerdict
+from ahrs_service.links.logs.recording_formats import read_recording
 from ahrs_service.records import Kind
 from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.sensor.provenance import Provenance, SourceRecording
 from ahrs_service.settings import IntakeSettings
-from links.recording_formats import read_recording
 
 LEAST_HZ: Final = 0.5
 """Slower samples have no window of eight between a bump and the next."""

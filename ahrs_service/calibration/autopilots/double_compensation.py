@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.calibration.autopilots import ardupilot_params, px4_params
-from ahrs_service.calibration.autopilots.form import Triad, TriadForm
+from ahrs_service.calibration.autopilots.compensation_model import Triad, TriadForm
 from ahrs_service.records import IMU_OF_SOURCE, ImuSource
 
 PX4: Final = 12

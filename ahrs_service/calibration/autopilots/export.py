@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ahrs_service.calibration.autopilots.form import Triad
+from ahrs_service.calibration.autopilots.compensation_model import Triad
 from ahrs_service.calibration.autopilots.loss import Loss
 from ahrs_service.records import Floats
 

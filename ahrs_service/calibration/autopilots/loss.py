@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ahrs_service.calibration.autopilots.form import STEPS, Bench, TriadForm
+from ahrs_service.calibration.autopilots.compensation_model import STEPS, Bench, TriadForm
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.records import Floats
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration

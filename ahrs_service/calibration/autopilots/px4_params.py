@@ -18,9 +18,9 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.calibration.autopilots import form as form_of
+from ahrs_service.calibration.autopilots import compensation_model as form_of
+from ahrs_service.calibration.autopilots.compensation_model import Triad, TriadForm
 from ahrs_service.calibration.autopilots.export import Export, Values, number, vector
-from ahrs_service.calibration.autopilots.form import Triad, TriadForm
 from ahrs_service.calibration.autopilots.loss import lag_remarks, loss
 from ahrs_service.records import Floats
 from ahrs_service.sensor.parameters import Calibration

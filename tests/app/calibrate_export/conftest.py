@@ -6,12 +6,17 @@ from contextlib import asynccontextmanager
 import numpy as np
 import pytest
 
-from ahrs_service.app import calibration_file, cli
+from ahrs_service.app import cli
+from ahrs_service.app.files import calibration_file
+from ahrs_service.links.component.parameter_values import ARDUPILOT, PX4
+from ahrs_service.links.logs.param_files import ParamValue
+from ahrs_service.links.simulated.autopilot_parameters import (
+    AutopilotParameters,
+    ardupilot_ins,
+    px4_calibration,
+)
 from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration
-from links.autopilot_parameters import AutopilotParameters, ardupilot_ins, px4_calibration
-from links.param_files import ParamValue
-from links.parameter_values import ARDUPILOT, PX4
 
 
 def unit(**fields):
@@ -43,9 +48,9 @@ def unit(**fields):
 def folder(tmp_path, monkeypatch):
     """An empty folder to work in, with unit.toml."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("links.parameter_client.ANSWER_S", 0.03)
-    monkeypatch.setattr("links.parameter_client.SILENCE_S", 0.3)
-    monkeypatch.setattr("links.parameter_client.VEHICLE_S", 5.0)
+    monkeypatch.setattr("ahrs_service.links.component.parameter_client.ANSWER_S", 0.03)
+    monkeypatch.setattr("ahrs_service.links.component.parameter_client.SILENCE_S", 0.3)
+    monkeypatch.setattr("ahrs_service.links.component.parameter_client.VEHICLE_S", 5.0)
     calibration_file.save("unit.toml", unit())
     return tmp_path
 

@@ -2,10 +2,11 @@
 
 import pytest
 
-from ahrs_service.app import calibration_file, cli
+from ahrs_service.app import cli
+from ahrs_service.app.files import calibration_file
 from ahrs_service.calibration.autopilots.ardupilot_params import to_ardupilot
+from ahrs_service.links.logs.param_files import ParamValue, read_param_file
 from ahrs_service.sensor.provenance import Verdict
-from links.param_files import ParamValue, read_param_file
 from tests.app.calibrate_export.conftest import text_of, unit
 
 

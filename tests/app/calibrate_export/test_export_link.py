@@ -6,17 +6,17 @@ import socket
 import pytest
 from rich.console import Console
 
-from ahrs_service.app import calibration_file
-from ahrs_service.app.simulate import LinkFlight
+from ahrs_service.app.files import calibration_file
+from ahrs_service.app.simulate.command import LinkFlight
 from ahrs_service.calibration.autopilots.ardupilot_params import to_ardupilot
 from ahrs_service.calibration.autopilots.px4_params import to_px4
+from ahrs_service.links.component.parameter_values import ARDUPILOT, PX4, rounded
+from ahrs_service.links.logs.param_files import ParamValue, read_param_file
+from ahrs_service.links.mavlink.codec import Decoder, Encoder
+from ahrs_service.links.mavlink.signing import Signer, key_from_text
+from ahrs_service.links.simulated.autopilot import SimulatedAutopilot
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration
 from ahrs_service.simulation.scenario import make_flight
-from links.autopilot import SimulatedAutopilot
-from links.mavlink_codec import Decoder, Encoder
-from links.param_files import ParamValue, read_param_file
-from links.parameter_values import ARDUPILOT, PX4, rounded
-from links.signing import Signer, key_from_text
 from tests.app.calibrate_export.conftest import autopilot, command, run, text_of, unit
 
 
@@ -82,7 +82,7 @@ def test_a_signed_link(live, folder, capsys, monkeypatch):
 
     assert asyncio.run(scenario("--config", "key.toml", "--yes")) == 0
     assert "written and read back" in text_of(capsys)
-    monkeypatch.setattr("links.parameter_client.VEHICLE_S", 0.3)
+    monkeypatch.setattr("ahrs_service.links.component.parameter_client.VEHICLE_S", 0.3)
     (folder / "key.toml").write_text('[link]\nsigning_key = "another"\n')
     assert asyncio.run(scenario("--config", "key.toml")) == 1
     assert "no heartbeat of an autopilot" in text_of(capsys)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from ahrs_service import pipeline
-from ahrs_service.app import config_file, estimate
+from ahrs_service.app.estimate import command as estimate
+from ahrs_service.app.files import config_file
 from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, ImuSource, empty
 from ahrs_service.rotation import euler_columns, inverse_columns, multiply_columns
 from ahrs_service.sensor.parameters import Calibration, coefficients

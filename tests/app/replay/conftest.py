@@ -6,11 +6,11 @@ import pytest
 from ahrs_service.app import cli
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.estimator import Estimator
+from ahrs_service.links.logs.tlog import tlog_record
+from ahrs_service.links.mavlink.codec import Decoder, Encoder, dialect
+from ahrs_service.links.mavlink.readings import from_message
 from ahrs_service.records import READING_DTYPE, empty
 from ahrs_service.settings import Settings
-from links.mavlink_codec import Decoder, Encoder, dialect
-from links.readings import from_message
-from links.tlog import tlog_record
 
 BOOT_US = 1_700_000_000_000_000
 AUTOPILOT = 3

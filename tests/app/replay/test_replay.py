@@ -5,9 +5,9 @@ import pickle
 import numpy as np
 import pytest
 
-from ahrs_service.app import config_file
-from ahrs_service.app.replay_log import replay_log
-from links.tlog import read_tlog
+from ahrs_service.app.files import config_file
+from ahrs_service.app.replay.replay_log import replay_log
+from ahrs_service.links.logs.tlog import read_tlog
 from tests.app.replay.conftest import frames_of, live_digest, write
 
 

@@ -7,11 +7,11 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from ahrs_service.app import config_file
-from ahrs_service.app.replay_log import replay_log
+from ahrs_service.app.files import config_file
+from ahrs_service.app.replay.replay_log import replay_log
+from ahrs_service.links.logs.tlog import read_tlog
 from ahrs_service.records import ESTIMATE_DTYPE, Phase
 from ahrs_service.rotation import euler_columns
-from links.tlog import read_tlog
 from tests.app.replay.conftest import frames_of, replay, write
 
 

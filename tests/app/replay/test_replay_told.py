@@ -2,7 +2,7 @@
 
 import pytest
 
-from ahrs_service.app.replay_log import replay_log
+from ahrs_service.app.replay.replay_log import replay_log
 from tests.app.replay.conftest import frames_of, replay, write
 
 

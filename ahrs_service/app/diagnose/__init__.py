@@ -1,0 +1,1 @@
+"""A recording compared with its twin."""

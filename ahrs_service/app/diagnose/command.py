@@ -1,0 +1,257 @@
+"""Compare a recording with its twin: where they differ, what physics was left out, how sure.
+
+The twin is the sensor as it is believed to be; without one an ideal sensor. What is found is
+described in plain words, proven on parts of the recording that it was not fitted to, and can be
+written into the twin, which is then simulated (simulate --twin), and, where it has that form, into
+a calibration, which the estimator compensates live (run --calibration).
+
+Examples:
+  ahrs-service diagnose flight.tlog --html report.html --write-twin twin.toml
+  ahrs-service diagnose flight.bin --twin twin.toml --json report.json --rrd report.rrd
+  ahrs-service diagnose flight.tlog --against simulated.tlog
+
+"""
+
+import argparse
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+
+from ahrs_service.app.diagnose import diagnosis_text as text
+from ahrs_service.app.diagnose.diagnosis_page import most_telling, page
+from ahrs_service.app.diagnose.diagnosis_terminal import summary
+from ahrs_service.app.diagnose.loaded_recording import load
+from ahrs_service.app.diagnose.recorded_columns import with_velocity
+from ahrs_service.app.files import calibration_file, toml_file, truth_file, twin_file
+from ahrs_service.app.options import new_file
+from ahrs_service.app.replay.command import progress_bar
+from ahrs_service.calibration.folding import fold
+from ahrs_service.diagnosis.diagnose import diagnose
+from ahrs_service.diagnosis.input.diagnosis_input import Recorded
+from ahrs_service.diagnosis.input.effect_removal import without_effects
+from ahrs_service.diagnosis.result import Diagnosis, ResidualSeries, as_json
+from ahrs_service.effects.base import Effect, Values
+from ahrs_service.effects.catalogue import effect_of
+from ahrs_service.links.errors import RecordingError
+from ahrs_service.links.logs.recording_formats import KNOWN
+from ahrs_service.records import Floats
+from ahrs_service.sensor.compensation import compensate_columns
+from ahrs_service.sensor.parameters import Calibration, coefficients
+from ahrs_service.simulation.imu import Imu
+
+EXIT_DONE: Final = 0
+_PANELS_SHOWN: Final = 6
+"""Panels of residual against covariate in one picture of the viewer: as many as can be read."""
+_READ: Final = 0.05
+"""Share of the whole time in which a recording is read."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `ahrs-service diagnose`."""
+    parser.add_argument("recording", type=Path, metavar="RECORDING", help=KNOWN)
+    parser.add_argument(
+        "--twin", type=Path, metavar="TWIN.toml", help="the sensor as it is believed to be"
+    )
+    parser.add_argument(
+        "--against",
+        type=Path,
+        metavar="SIM.tlog",
+        help="diagnose this recording too and say what the first has that this one lacks",
+    )
+    parser.add_argument(
+        "--truth",
+        type=Path,
+        metavar="TRUTH.json",
+        help="what the recording is known to hold (as prove writes it): shown beside what is found",
+    )
+    parser.add_argument("--json", type=new_file, metavar="OUT", help="write the report")
+    parser.add_argument("--html", type=new_file, metavar="OUT", help="write one page with pictures")
+    parser.add_argument("--rrd", type=new_file, metavar="OUT", help="write for the Rerun viewer")
+    parser.add_argument(
+        "--write-twin", type=new_file, metavar="OUT.toml", help="write the twin with what was found"
+    )
+    parser.add_argument(
+        "--write-calibration",
+        type=new_file,
+        metavar="OUT.toml",
+        help="write a calibration that compensates what was found, as far as that can be",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Diagnose; return the exit code."""
+    console, errors = Console(), Console(stderr=True, soft_wrap=True, highlight=False)
+    twin = Imu() if args.twin is None else twin_file.read(args.twin)
+    diagnosis = diagnose_file(args.recording, twin, errors, args.truth)
+    console.print(summary(args.recording.name, diagnosis))
+    against: tuple[str, Diagnosis] | None = None
+    if args.against is not None:
+        against = args.against.name, diagnose_file(args.against, twin, errors)
+        console.print(summary(*against))
+        _say_what_lacks(console, diagnosis, *against)
+    if args.json is not None:
+        _write_json(args.json, diagnosis, against)
+    if args.html is not None:
+        content = page(args.recording.name, diagnosis, against)
+        toml_file.write_whole(args.html, content.encode())
+    if args.rrd is not None:
+        _write_rrd(args.rrd, args.recording.name, diagnosis)
+    if args.write_twin is not None:
+        source = f"diagnose {args.recording.name}"
+        twin_file.write(args.write_twin, extended(twin, diagnosis), source, sigmas_of(diagnosis))
+    if args.write_calibration is not None:
+        _write_calibration(args.write_calibration, twin, diagnosis, console)
+    for name in ("json", "html", "rrd", "write_twin", "write_calibration"):
+        if (path := getattr(args, name)) is not None:
+            console.print(f"wrote {escape(str(path))}", highlight=False, soft_wrap=True)
+    return EXIT_DONE
+
+
+def diagnose_file(
+    path: Path, twin: Imu, errors: Console, truth_path: Path | None = None
+) -> Diagnosis:
+    """Read and diagnose a recording, with a bar; RecordingError says why it cannot be."""
+    with progress_bar(errors, path.name) as advance:
+        loaded = load(path, lambda share: advance("reading", _READ * share))
+        try:
+            columns = compensated(with_velocity(loaded), twin.calibration)
+            columns = without_effects(columns, twin.effects)
+            truth = None if truth_path is None else truth_file.read(truth_path, columns)
+            diagnosis = diagnose(
+                columns, lambda share: advance("searching", _READ + (1.0 - _READ) * share), truth
+            )
+        except ValueError as error:
+            # Some of these name the recording, but not the folder that it is in.
+            why = str(error).removeprefix(f"{path.name}: ")
+            raise RecordingError(f"{path}: {why}") from None
+    notes = [*loaded.notes, *diagnosis.notes]
+    if diagnosis.oracle and diagnosis.oracle.oracle["gyro"].log_likelihood_gain < 0.0:
+        notes.append(text.DOUBTFUL_TRUTH)
+    return dataclasses.replace(diagnosis, notes=tuple(notes))
+
+
+def compensated(columns: Recorded, calibration: Calibration) -> Recorded:
+    """Return the columns with the twin's calibration taken away from the IMU's readings."""
+    if calibration == Calibration.ideal():
+        return columns
+    time_s = columns.imu_time_s
+    temperature = columns.temperature_degc.at(time_s)
+    gyro, accel = compensate_columns(
+        coefficients(calibration), columns.gyro_rad_s, columns.accel_m_s2, temperature, time_s
+    )
+    return dataclasses.replace(columns, gyro_rad_s=gyro, accel_m_s2=accel)
+
+
+def found_effects(diagnosis: Diagnosis) -> list[tuple[Effect, Values]]:
+    """Return what was found as effects with their parameters."""
+    return [
+        (
+            effect_of(finding.effect),
+            effect_of(finding.effect).checked(
+                {name: estimate.value for name, estimate in finding.parameters.items()}
+            ),
+        )
+        for finding in diagnosis.findings
+    ]
+
+
+def extended(twin: Imu, diagnosis: Diagnosis) -> Imu:
+    """Return the twin with what was found; an effect that it had already takes the sum."""
+    return twin_file.with_effects(twin, found_effects(diagnosis))
+
+
+def sigmas_of(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
+    """Return the 1-sigma of every fitted parameter by effect id and name."""
+    return {
+        finding.effect: {
+            name: np.asarray(estimate.std, np.float64).tolist()
+            for name, estimate in finding.parameters.items()
+        }
+        for finding in diagnosis.findings
+    }
+
+
+def _say_what_lacks(console: Console, real: Diagnosis, name: str, simulated: Diagnosis) -> None:
+    findings, unexplained = text.lacking(real, simulated)
+    console.print(f"What {escape(name)} lacks:", style="bold")
+    for finding in findings:
+        console.print(f"  {escape(text.title(finding.effect))} ({finding.effect})", highlight=False)
+    for item in unexplained:
+        console.print(f"  {escape(text.unexplained_text(item))}", highlight=False)
+    if not findings and not unexplained:
+        console.print("  nothing: whatever the real recording shows, this one has")
+
+
+def _write_json(path: Path, diagnosis: Diagnosis, against: tuple[str, Diagnosis] | None) -> None:
+    report = as_json(diagnosis)
+    if against is not None:
+        findings, unexplained = text.lacking(diagnosis, against[1])
+        report["against"] = {
+            "recording": against[0],
+            "report": as_json(against[1]),
+            "lacks": [finding.effect for finding in findings],
+            "lacks_unexplained": [item.channel for item in unexplained],
+        }
+    toml_file.write_whole(path, (json.dumps(report, indent=1) + "\n").encode())
+
+
+def _write_rrd(path: Path, name: str, diagnosis: Diagnosis) -> None:
+    # Loading rerun and matplotlib takes longer than reading most logs.
+    from ahrs_service.viz import report_plots as plots  # noqa: PLC0415
+    from ahrs_service.viz.report_rrd import write_report  # noqa: PLC0415
+
+    telling = most_telling(diagnosis.covariates)
+    pictures = {}
+    for first in range(0, len(telling), _PANELS_SHOWN):
+        shown = telling[first : first + _PANELS_SHOWN]
+        about = " and ".join(dict.fromkeys(item.covariate for item in shown[:2]))
+        title = f"Residual against {about}, ..."
+        pictures[title] = plots.as_png(plots.against_covariates(shown))
+    where = {
+        finding.effect: [(one.t0_s, one.t1_s, one.regime) for one in finding.where]
+        for finding in diagnosis.findings
+    }
+    where |= {
+        f"unexplained {item.channel}": [(one.t0_s, one.t1_s, one.regime) for one in item.where]
+        for item in diagnosis.unexplained
+    }
+    lines = [f"# {name}", text.VERDICTS[diagnosis.verdict]]
+    for finding in diagnosis.findings:
+        lines += [f"## {text.title(finding.effect)}", text.paragraph(finding, has_numbers=False)]
+        lines.append(_markdown(("fitted", "x", "y", "z"), text.parameter_rows(finding)))
+    lines += [text.unexplained_text(item) for item in diagnosis.unexplained]
+    lines += [text.implausible_text(item) for item in diagnosis.implausible]
+    series = diagnosis.series
+    empty = np.zeros((0, 6))
+    time_s, before, after = (np.zeros(0), empty, empty) if series is None else _without_bias(series)
+    try:
+        write_report(path, time_s, before, after, where, "\n\n".join(lines), pictures)
+    except OSError as error:
+        raise RecordingError(
+            f"{path}: {error.strerror}; give a file in a folder that can be written"
+        ) from None
+
+
+def _markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+
+
+def _without_bias(series: ResidualSeries) -> tuple[Floats, Floats, Floats]:
+    """Return time, before and after without the constant bias that is left: it is no finding."""
+    bias = series.after.mean(axis=0)
+    return series.time_s, series.before - bias, series.after - bias
+
+
+def _write_calibration(path: Path, twin: Imu, diagnosis: Diagnosis, console: Console) -> None:
+    # The effects of the twin act beside those that were found, and are compensated with them.
+    folded = fold(twin.calibration, extended(twin, diagnosis).effects)
+    calibration_file.save(path, folded.calibration)
+    for identifier, why in folded.left:
+        console.print(f"not in the calibration: {identifier}: {why}", highlight=False)

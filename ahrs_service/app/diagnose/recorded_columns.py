@@ -1,0 +1,33 @@
+"""What diagnosis takes from a recording of any format."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+from ahrs_service.app.diagnose.loaded_recording import Loaded, load
+from ahrs_service.diagnosis.input.diagnosis_input import Recorded, Series
+from ahrs_service.links.errors import RecordingError
+from ahrs_service.simulation.reference import smooth
+
+
+def read_columns(path: Path, progress: Callable[[float], None] | None = None) -> Recorded:
+    """Read the columns of a recording; RecordingError says what is missing."""
+    try:
+        return with_velocity(load(path, progress))
+    except ValueError as error:
+        raise RecordingError(f"{path}: {error}") from None
+
+
+def with_velocity(loaded: Loaded) -> Recorded:
+    """Return the columns, with the velocity of the receiver's positions where there is no other."""
+    columns, place = loaded.columns, loaded.position_ned_m
+    if len(columns.velocity_ned_m_s):
+        return columns
+    if not len(place):
+        raise ValueError(
+            "no velocity to compare the accelerometer with; "
+            "record LOCAL_POSITION_NED or GLOBAL_POSITION_INT at 5 Hz or more"
+        )
+    curve = smooth(place.time_s, place.values, "position")
+    velocity = Series(place.time_s, curve.derivative()(place.time_s))
+    return dataclasses.replace(columns, velocity_ned_m_s=velocity)

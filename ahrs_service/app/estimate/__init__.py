@@ -1,0 +1,1 @@
+"""Attitude of plain arrays."""

@@ -1,0 +1,174 @@
+"""Settings in layers, each above the one before: defaults, profile, TOML file, command line.
+
+They are checked by pydantic. What a layer says of a limit of the gate, be it the limit itself or a
+budget, holds in place of what the layers below say of that limit.
+"""
+
+import dataclasses
+import json
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic import TypeAdapter, ValidationError
+
+from ahrs_service import intake
+from ahrs_service.app.files import profiles
+from ahrs_service.settings import Settings
+
+_ADAPTER = TypeAdapter(Settings)
+_REPLACES: Final[dict[tuple[str, str], tuple[str, ...]]] = {
+    ("gate", "norm_m_s2"): ("acceleration_m_s2", "tilt_deg"),
+    ("gate", "rate_rad_s"): ("centripetal_m_s2",),
+    ("gate", "angular_acceleration_rad_s2"): ("tangential_m_s2",),
+    ("gate_budget", "acceleration_m_s2"): ("tilt_deg",),
+    ("gate_budget", "tilt_deg"): ("acceleration_m_s2",),
+}
+"""A setting, and the budgets of layers below that would contradict it."""
+
+
+class ConfigError(Exception):
+    """A setting that cannot be used; the message names the file, the field and the value."""
+
+
+def load(
+    path: str | Path | None = None, overrides: Iterable[str] = (), profile: str | None = None
+) -> Settings:
+    """Read settings: the profile's, above them those of `path`, then `section.key=value` overrides.
+
+    Raises ConfigError naming the file or option, the field, the value and what is allowed.
+    """
+    document: dict[str, Any] = {}
+    origins = []
+    if profile is not None:
+        file, document = _read_profile(profile)
+        origins.append(str(file))
+    if path is not None:
+        _lay_over(document, read_toml(Path(path)))
+        origins.append(str(path))
+    if given := [(override, *_split(override)) for override in overrides]:
+        origins.append("the command line")
+        _give_way(document, (setting for _, setting, _ in given))
+    for override, setting, text in given:
+        _set(document, override, setting, text)
+    return from_document(document, " and ".join(origins))
+
+
+def _read_profile(profile: str) -> tuple[Path, dict[str, Any]]:
+    """Read a profile and check it alone, so that an error in it names its file."""
+    file = profiles.file_of(profile)
+    if file is None:
+        raise ConfigError(
+            f"--profile {profile}: no such profile; known are {', '.join(profiles.names())}, "
+            f"or give a {profiles.SUFFIX} file"
+        )
+    document = read_toml(file)
+    from_document(document, str(file))
+    return file, document
+
+
+def _lay_over(document: dict[str, Any], upper: dict[str, Any]) -> None:
+    """Put the keys of `upper` in place of those of `document`."""
+    sections = {name: part for name, part in upper.items() if isinstance(part, dict)}
+    _give_way(document, ((name, key) for name, part in sections.items() for key in part))
+    for name, part in upper.items():
+        document[name] = {**document.get(name, {}), **part} if name in sections else part
+
+
+def _give_way(document: dict[str, Any], settings: Iterable[tuple[str, str]]) -> None:
+    """Remove the budgets that `settings` (section, key) of a layer above replace."""
+    budget = document.get("gate_budget")
+    if isinstance(budget, dict):
+        for setting in settings:
+            for key in _REPLACES.get(setting, ()):
+                budget.pop(key, None)
+
+
+def from_document(document: dict[str, Any], origin: str) -> Settings:
+    """Build settings from nested dictionaries; ConfigError names `origin`."""
+    defaults = dataclasses.asdict(Settings())
+    complete = {
+        name: {**defaults.get(name, {}), **section} if isinstance(section, dict) else section
+        for name, section in document.items()
+    }
+    try:
+        settings = _ADAPTER.validate_python(complete)
+        intake.parameters(settings.intake)
+    except ValidationError as error:
+        raise ConfigError(_explain(error, origin)) from None
+    except ValueError as error:
+        raise ConfigError(f"{origin}: {error}") from None
+    return settings
+
+
+def to_json(settings: Settings) -> bytes:
+    """Return the effective settings as JSON, as recordings carry them; the key stays out."""
+    document = dataclasses.asdict(settings)
+    document["link"]["signing_key"] = ""
+    return json.dumps(document, sort_keys=True, separators=(",", ":")).encode()
+
+
+def from_json(text: bytes, origin: str) -> Settings:
+    """Read what `to_json` wrote; raises ConfigError."""
+    try:
+        document = json.loads(text)
+    except ValueError as error:
+        raise ConfigError(f"{origin}: recorded settings are no JSON ({error})") from None
+    if not isinstance(document, dict):
+        raise ConfigError(f"{origin}: recorded settings are no table of sections")
+    return from_document(document, origin)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file; ConfigError says why it cannot be."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; give a readable TOML file") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: not valid TOML: {error}") from None
+
+
+def _split(override: str) -> tuple[tuple[str, str], str]:
+    """Return section, key and the text of the value of one `section.key=value`."""
+    name, separator, text = override.partition("=")
+    parts = name.strip().split(".")
+    if not separator or len(parts) != 2 or not all(parts):
+        raise ConfigError(f"--set {override}: write section.key=value, as in gate.norm_m_s2=0.4")
+    return (parts[0], parts[1]), text
+
+
+def _set(document: dict[str, Any], override: str, setting: tuple[str, str], text: str) -> None:
+    """Apply one `section.key=value`; the value is read as TOML, else taken as text."""
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text
+    name, key = setting
+    section = document.setdefault(name, {})
+    if not isinstance(section, dict):
+        raise ConfigError(f"--set {override}: {name} is not a section")
+    section[key] = value
+
+
+def _explain(error: ValidationError, origin: str) -> str:
+    lines = []
+    for problem in error.errors():
+        field = ".".join(str(part) for part in problem["loc"])
+        if problem["type"] == "unexpected_keyword_argument":
+            lines.append(f"{origin}: {field}: no such setting; {_known(problem['loc'])}")
+        elif problem["type"] == "dataclass_type":
+            lines.append(f"{origin}: {field} = {problem['input']!r}: write a table, [{field}]")
+        else:
+            lines.append(f"{origin}: {field} = {problem['input']!r}: {problem['msg']}")
+    return "\n".join(lines)
+
+
+def _known(location: tuple[int | str, ...]) -> str:
+    """List the names allowed beside an unknown one."""
+    names = [field.name for field in dataclasses.fields(Settings)]
+    if len(location) > 1 and location[0] in names:
+        section = getattr(Settings(), str(location[0]))
+        names = [field.name for field in dataclasses.fields(section)]
+    return "known are " + ", ".join(names)

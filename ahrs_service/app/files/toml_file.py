@@ -1,0 +1,134 @@
+"""TOML files as frozen dataclasses: read strictly by pydantic, written whole or not at all."""
+
+import json
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
+
+from ahrs_service.app.files.config_file import ConfigError, read_toml
+
+_T = TypeVar("_T")
+_LONGEST_LINE: Final = 90
+
+
+def read_as(path: Path, kind: type[_T]) -> _T:
+    """Read a TOML file as a dataclass; ConfigError names the file, the field and the value."""
+    return validate(read_toml(path), kind, str(path))
+
+
+def validate(document: Mapping[str, Any], kind: type[_T], origin: str) -> _T:
+    """Return a dataclass of nested dictionaries; ConfigError names `origin`, field and value."""
+    try:
+        return TypeAdapter(kind).validate_python(document)
+    except ValidationError as error:
+        lines = (_line(problem) for problem in error.errors())
+        raise ConfigError("\n".join(f"{origin}: {line}" for line in lines)) from None
+
+
+def _line(problem: Any) -> str:
+    field = ".".join(str(part) for part in problem["loc"])
+    if problem["type"] == "unexpected_keyword_argument":
+        return f"{field}: no such field; remove it or correct its name"
+    if problem["type"] == "missing":
+        return f"{field} is missing; add it"
+    return f"{field} = {problem['input']!r}: {problem['msg']}"
+
+
+def write(path: Path, document: Mapping[str, Any], heading: str = "") -> None:
+    """Write a document; `heading` stands first as comments. ConfigError where it cannot be."""
+    comments = "".join(f"# {line}\n" for line in heading.splitlines())
+    write_whole(path, (comments + text_of(document)).encode())
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Put `content` in the place of what `path` holds; ConfigError where that cannot be.
+
+    It is written beside `path`, forced to the disk, and then put in its place, so that no reader
+    ever finds half a file.
+    """
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            # A temporary file is its owner's alone; a calibration is read by the daemon's user.
+            Path(name).chmod(0o644)
+            os.replace(name, path)
+        except BaseException:
+            Path(name).unlink(missing_ok=True)
+            raise
+        _sync_folder(path.parent)
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: cannot be written: {error.strerror or error}; give a place that can be"
+        ) from None
+
+
+def _sync_folder(folder: Path) -> None:
+    """Force the new name to the disk too."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def text_of(document: Mapping[str, Any]) -> str:
+    """Return nested tables of numbers, texts and lists as TOML; what is None is left out.
+
+    Numbers are written with all their digits: a round trip is exact.
+    """
+    return "\n".join(_lines(document, ())).lstrip("\n") + "\n"
+
+
+def _lines(table: Mapping[str, Any], place: tuple[str, ...]) -> Iterator[str]:
+    """Yield the lines of a table: its own values first, as TOML demands, then its tables."""
+    inner = {key: value for key, value in table.items() if _is_table(value)}
+    for key, value in table.items():
+        if key not in inner and value is not None:
+            yield f"{_key(key)} = {_value(value, rows=True)}"
+    for key, value in inner.items():
+        below = (*place, _key(key))
+        name = ".".join(below)
+        if isinstance(value, Mapping):
+            yield from ("", f"[{name}]", *_lines(value, below))
+            continue
+        for one in value:
+            yield from ("", f"[[{name}]]", *_lines(one, below))
+
+
+def _is_table(value: Any) -> bool:
+    if isinstance(value, Mapping):
+        return True
+    return isinstance(value, list | tuple) and len(value) > 0 and isinstance(value[0], Mapping)
+
+
+def _value(value: Any, rows: bool = False) -> str:
+    """Write a value of TOML; with `rows` long lists one item a line."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return _text(value)
+    if isinstance(value, list | tuple):
+        items = [_value(item) for item in value]
+        line = f"[{', '.join(items)}]"
+        if rows and len(line) > _LONGEST_LINE and isinstance(value[0], list | tuple | str):
+            return "[\n" + "".join(f"    {item},\n" for item in items) + "]"
+        return line
+    return repr(value)
+
+
+def _text(text: str) -> str:
+    """Write a basic string; TOML's escapes are JSON's, but for the delete character."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _key(key: str) -> str:
+    is_bare = key.isascii() and key.replace("_", "").replace("-", "").isalnum()
+    return key if is_bare else _text(key)

@@ -1,0 +1,1 @@
+"""The locator of left-out physics, tested on sealed recordings."""

@@ -1,0 +1,92 @@
+"""Blind recordings as files: NAME.tlog, NAME.truth.json, and the hash that seals the truths."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any, Final
+
+from ahrs_service.blind.case import Case
+from ahrs_service.blind.messages import tables
+from ahrs_service.links.errors import RecordingError
+from ahrs_service.links.mavlink.frame_columns import MessageColumns, tlog_bytes
+
+TRUTH_SUFFIX: Final = ".truth.json"
+REPORT_SUFFIX: Final = ".report.json"
+
+_EPOCH_US: Final = 1_750_000_000_000_000
+"""Wall clock of every blind recording's boot [us since 1970]: a seed gives the same bytes."""
+
+
+def case_bytes(case: Case) -> bytes:
+    """Return the bytes of the case's .tlog."""
+    columns = [
+        MessageColumns(table.name, table.time_us + (_EPOCH_US + order), table.fields)
+        for order, table in enumerate(tables(case))
+    ]
+    return tlog_bytes(columns, system=1, component=1)
+
+
+def write_case(recordings: Path, truths: Path, case: Case) -> None:
+    """Write the case's .tlog to one folder and its truth to another."""
+    name = case.request.name
+    (recordings / f"{name}.tlog").write_bytes(case_bytes(case))
+    text = json.dumps(case.truth, indent=1)
+    (truths / f"{name}{TRUTH_SUFFIX}").write_text(text, encoding="utf-8")
+
+
+def seal(truths: Path) -> str:
+    """Return the SHA-256 over the truth files of a folder: names and bytes, in order of names."""
+    digest = hashlib.sha256()
+    for path in sorted(truths.glob(f"*{TRUTH_SUFFIX}")):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
+
+
+def read_truth(path: Path) -> dict[str, Any]:
+    """Read a truth file; RecordingError says what is wrong with it."""
+    try:
+        truth = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RecordingError(f"{path}: {error.strerror}; check the path of the truth") from error
+    except ValueError as error:
+        raise RecordingError(f"{path}: {error}; a truth is JSON beside its .tlog") from error
+    if not isinstance(truth, dict) or not {"kind", "level", "effects"} <= truth.keys():
+        raise RecordingError(f"{path}: no kind, level and effects; see shared mismatch cases")
+    return truth
+
+
+def truths_of(folder: Path) -> Path:
+    """Return where the truths of a folder of recordings are: in it, or in its `truths`."""
+    inner = folder / "truths"
+    return inner if inner.is_dir() else folder
+
+
+def recordings(folder: Path) -> list[Path]:
+    """Return the recordings of a folder that have a truth, in order of names."""
+    truths = truths_of(folder)
+    found = sorted(
+        path for path in folder.glob("*.tlog") if (truths / f"{path.stem}{TRUTH_SUFFIX}").is_file()
+    )
+    if not found:
+        raise RecordingError(f"{folder}: no NAME.tlog with NAME{TRUTH_SUFFIX} beside it")
+    return found
+
+
+def write_report(folder: Path, name: str, report: dict[str, Any]) -> None:
+    """Write a report as NAME.report.json."""
+    path = folder / f"{name}{REPORT_SUFFIX}"
+    path.write_text(json.dumps(report, indent=1), encoding="utf-8")
+
+
+def read_report(folder: Path, name: str) -> dict[str, Any] | None:
+    """Read NAME.report.json of ahrs-mismatch/1; None where there is none."""
+    path = folder / f"{name}{REPORT_SUFFIX}"
+    if not path.is_file():
+        return None
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise RecordingError(f"{path}: {error}; a report is JSON") from error
+    if not isinstance(report, dict) or not {"verdict", "effects", "unexplained"} <= report.keys():
+        raise RecordingError(f"{path}: no verdict, effects and unexplained of ahrs-mismatch/1")
+    return report

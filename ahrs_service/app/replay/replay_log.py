@@ -1,0 +1,215 @@
+"""One recording through the estimator: the function that replay and fleet share."""
+
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from ahrs_service.app.files import calibration_file, config_file
+from ahrs_service.app.files.calibration_choice import NONE, CalibrationShelf
+from ahrs_service.app.replay.summary import Summary, summarise
+from ahrs_service.estimator import Estimator, StateError
+from ahrs_service.links.errors import RecordingError
+from ahrs_service.links.logs.recording import Recording
+from ahrs_service.links.logs.recording_formats import read_recording
+from ahrs_service.links.logs.session_marks import Mark, MarkKind, read_marks
+from ahrs_service.links.logs.tlog import read_tlog
+from ahrs_service.links.mavlink.readings import from_tables
+from ahrs_service.records import ESTIMATE_DTYPE, Integers, Kind, Rows, empty
+from ahrs_service.sensor.parameters import Calibration
+from ahrs_service.settings import SensorSettings, Settings
+from ahrs_service.smoothing import Smoother
+
+Advance = Callable[[str, float], None]
+
+_CHUNK: Final = 1 << 15
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayResult:
+    """A recording and what the estimator made of it.
+
+    `estimates` [N] ESTIMATE_DTYPE, `positions` [N] the reading behind each; `system` the vehicle
+    adopted; `settings` those in force at the end. Where smoothing was asked for, `estimates` are
+    the smoothed. `is_calibrated` whether a calibration was in use at the end.
+    """
+
+    recording: Recording
+    estimates: Rows
+    positions: Integers
+    system: int
+    settings: Settings
+    summary: Summary
+    is_calibrated: bool
+
+
+def replay_log(
+    path: str | Path,
+    settings: Settings | None = None,
+    advance: Advance | None = None,
+    sensor: SensorSettings | None = None,
+    smooth: bool = False,
+) -> ReplayResult:
+    """Replay one recording; RecordingError says in a sentence why it cannot be.
+
+    Without `settings` those that the recording carries hold, else the defaults; without a
+    calibration named by `sensor` (else by `settings`) that which it carries, else none. `advance`
+    is called with what is being done and the share done, 0 to 1. Equal files, settings and
+    calibrations give equal bytes, and the bytes of the live session where the recording is of one.
+    ConfigError where the calibration named cannot or must not be used.
+    """
+    told = advance or _silent
+    recording = read_recording(path, lambda share: told("reading", share))
+    calibration, origin = _calibration(recording, sensor or (settings or Settings()).sensor)
+    obeyed = {MarkKind.SETTINGS} if settings is None else set()
+    obeyed |= {MarkKind.CALIBRATION} if calibration is None else set()
+    # A state goes with the settings and the calibration under which it came to be.
+    obeyed |= {MarkKind.STATE} if len(obeyed) == 2 else set()
+    marks = [(place, mark) for place, mark in _marks(recording) if mark.kind in obeyed]
+    smoother = Smoother() if smooth else None
+    replay = _Replay(recording, settings, marks, calibration, smoother)
+    replay.calibration = origin
+    for share in replay.run():
+        told("estimating", share)
+    estimates, positions = replay.columns()
+    if not len(estimates):
+        raise RecordingError(_no_sample(recording, replay.settings))
+    smoothed = None
+    if smoother is not None:
+        told("smoothing", 0.0)
+        smoothed = estimates.copy()
+        smoother.smooth(smoothed)
+    told("comparing", 0.0)
+    summary = summarise(
+        recording,
+        replay.estimator,
+        estimates,
+        replay.settings.intake,
+        replay.origin,
+        replay.calibration,
+        smoothed,
+    )
+    system = int(replay.estimator.intake_state["system"][0])
+    if smoothed is not None:
+        estimates = smoothed
+    known = replay.estimator.calibration != Calibration.ideal()
+    return ReplayResult(recording, estimates, positions, system, replay.settings, summary, known)
+
+
+def _silent(stage: str, share: float) -> None:
+    del stage, share
+
+
+def _calibration(recording: Recording, sensor: SensorSettings) -> tuple[Calibration | None, str]:
+    """Return the calibration that is asked for, and what it is; None where none is."""
+    if sensor.calibration == NONE:
+        return Calibration.ideal(), "none, as asked"
+    shelf = CalibrationShelf(sensor)
+    choice = shelf.choose(recording.unit)
+    if choice is None:
+        if shelf.is_folder:
+            raise RecordingError(f"{recording.path}: {shelf.refusal(recording.unit)}")
+        return None, "none"
+    warning = shelf.mismatch(recording.unit)
+    return choice.calibration, f"{choice.text()}; {warning}" if warning else choice.text()
+
+
+class _Replay:
+    """The pass over the readings, in pieces that end at the recording's marks."""
+
+    def __init__(
+        self,
+        recording: Recording,
+        settings: Settings | None,
+        marks: list[tuple[int, Mark]],
+        calibration: Calibration | None,
+        smoother: Smoother | None,
+    ) -> None:
+        self.settings = settings or Settings()
+        self.origin = "the defaults" if settings is None else "as given"
+        self.calibration = "none"
+        self.estimator = Estimator(self.settings, calibration, smoother)
+        self._recording = recording
+        self._marks = marks
+        limit = int(np.count_nonzero(recording.readings["kind"] == Kind.IMU))
+        self._estimates = empty(ESTIMATE_DTYPE, limit)
+        self._positions = np.zeros(limit, np.int64)
+        self._count = 0
+
+    def run(self) -> Iterator[float]:
+        """Take all readings; yield the share done."""
+        readings = self._recording.readings
+        start = 0
+        for stop, mark in [*self._marks, (len(readings), None)]:
+            for first in range(start, stop, _CHUNK):
+                last = min(first + _CHUNK, stop)
+                estimates = self.estimator.take(readings[first:last])
+                end = self._count + len(estimates)
+                self._estimates[self._count : end] = estimates
+                self._positions[self._count : end] = self.estimator.positions + first
+                self._count = end
+                yield last / len(readings)
+            start = stop
+            if mark is not None:
+                self._obey(mark)
+
+    def columns(self) -> tuple[Rows, Integers]:
+        """Return all estimates and the reading behind each."""
+        return self._estimates[: self._count], self._positions[: self._count]
+
+    def _obey(self, mark: Mark) -> None:
+        """Do what the live service did here: change settings, or go on from a saved state."""
+        if mark.kind == MarkKind.STATE:
+            try:
+                self.estimator.restore(mark.data)
+            except StateError as error:
+                raise RecordingError(f"{self._recording.path}: {error}; or give --config") from None
+            return
+        if mark.kind == MarkKind.CALIBRATION:
+            self._calibrate(mark.data)
+            return
+        try:
+            self.settings = config_file.from_json(mark.data, str(self._recording.path))
+        except config_file.ConfigError as error:
+            raise RecordingError(
+                f"the settings recorded cannot be used here ({error}); give --config"
+            ) from None
+        self.estimator.configure(self.settings)
+        self.origin = "those of the recording"
+
+    def _calibrate(self, data: bytes) -> None:
+        """Take the calibration that the live service used from here on."""
+        origin = str(self._recording.path)
+        try:
+            calibration = calibration_file.from_json(zlib.decompress(data), origin)
+        except (config_file.ConfigError, zlib.error) as error:
+            raise RecordingError(
+                f"the calibration recorded cannot be used here ({error}); "
+                "give --calibration FILE, or none"
+            ) from None
+        self.estimator.calibrate(calibration)
+        self.calibration = f"that of the recording, serial {calibration.serial or 'not told'}"
+
+
+def _marks(recording: Recording) -> list[tuple[int, Mark]]:
+    """Marks of a recording made by this service, each with the first reading it holds for."""
+    if recording.format != "tlog" or "TUNNEL" not in recording.message_counts:
+        return []
+    tlog = read_tlog(recording.path)
+    _, frame_index = from_tables(tlog)
+    marks = list(read_marks(tlog.tables))
+    places = np.searchsorted(frame_index, [mark.frame for mark in marks])
+    return list(zip(places.tolist(), marks, strict=True))
+
+
+def _no_sample(recording: Recording, settings: Settings) -> str:
+    """Say why no reading became a sample."""
+    return (
+        f"{recording.path}: none of its {len(recording.readings)} readings belongs to an IMU of "
+        f"the vehicle looked for (intake.system = {settings.intake.system}, "
+        f"intake.imu_source = {settings.intake.imu_source}) after its HEARTBEAT; "
+        "change these with --set"
+    )

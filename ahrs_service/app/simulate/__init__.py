@@ -1,0 +1,1 @@
+"""Flights that were never flown, on a link or in a file."""

@@ -1,0 +1,1 @@
+"""What may have been left out: candidates, and models of the misfit with them."""

@@ -1,0 +1,124 @@
+"""Named or unknown: whether a law of the catalogue fits as well as some smooth dependence.
+
+Every misfit has a name that explains some of it. A name is believed only where no smooth unknown
+dependence, with all the numbers that it needs, explains clearly more.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from ahrs_service.diagnosis.hypotheses.candidates import Candidate, Library
+from ahrs_service.diagnosis.hypotheses.hypothesis import (
+    Step,
+    best_forms,
+    extend,
+    without,
+    without_unknown,
+)
+from ahrs_service.diagnosis.hypotheses.model import Model, gain_between
+from ahrs_service.diagnosis.hypotheses.score_test import screen
+from ahrs_service.diagnosis.input.misfit import Residual
+
+CLEARLY: Final = 3.0
+"""Evidence [nats] by which one explanation is preferred to another: odds of 20."""
+
+_FORM_SHARE: Final = 0.05
+"""Of a name's gain, what real physics of another form than the catalogue's may leave."""
+
+_TRIED: Final = 3
+
+
+def evidence(gain: float, freedom: int) -> float:
+    """Return the log Bayes factor [nats] of `freedom` numbers that gain so much likelihood.
+
+    Numbers Gaussian about nil, g times as uncertain beforehand as the data leave them, at the g
+    of highest evidence: gain - K/2 (1 + ln(2 gain / K)) (George, Foster 2000, eq. (14); Liang et
+    al. 2008, sec. 2.4).
+    """
+    if 2.0 * gain <= freedom:
+        return 0.0
+    return gain - 0.5 * freedom * (1.0 + float(np.log(2.0 * gain / freedom)))
+
+
+def is_clearer(gain: float, freedom: int, named_gain: float, named_freedom: int) -> bool:
+    """Whether an unknown dependence explains clearly more than what is named in its place."""
+    more = evidence(gain, freedom) - evidence(named_gain, named_freedom)
+    return more > CLEARLY and gain > (1.0 + _FORM_SHARE) * named_gain
+
+
+def is_clearer_than(residual: Residual, unknown: Step, named: Model, freedom: int) -> bool:
+    """Whether an unknown dependence explains clearly more than `named` with its `freedom` numbers.
+
+    Both under the better of both noises: a fit of the noise may end beside its best.
+    """
+    named_gain = unknown.gain - gain_between(residual, named, unknown.model)
+    return is_clearer(unknown.gain, unknown.candidate.freedom, named_gain, freedom)
+
+
+def best_unknown(
+    residual: Residual,
+    library: Library,
+    model: Model,
+    forms: list[tuple[Candidate, float]],
+    least: float,
+) -> Step | None:
+    """Return the unknown dependence of highest evidence, None if none reaches a surprise `least`.
+
+    `forms` with their surprise as screened; those in reach are fitted with their noise.
+    """
+    ranking = [(c, v) for c, v in forms if c.effect is None and c.name not in model.unknown]
+    steps = [
+        extend(residual, library, model, candidate, has_noise=True)
+        for candidate, value in ranking[:_TRIED]
+        if value > least / 2.0
+    ]
+    steps = [step for step in steps if step.surprise > least]
+    return max(steps, key=lambda s: evidence(s.gain, s.candidate.freedom), default=None)
+
+
+def acts_on(triad: str, name: str) -> bool:
+    """Whether an unknown dependence is of a triad, `imu` being both."""
+    return triad in (name.split(" ", maxsplit=1)[0], "imu")
+
+
+def unknown_instead(
+    residual: Residual, library: Library, model: Model, place: int, least: float
+) -> tuple[Step, tuple[str, ...]] | None:
+    """Return the unknown dependence that explains clearly more than a term, and what it replaces.
+
+    It is held against the term together with all unknown dependences of the term's triad: a law
+    of the wrong form leaves much that depends on what the law does.
+    """
+    term = model.terms[place]
+    beside = tuple(dict.fromkeys(n for n in model.unknown if acts_on(term.effect.triad, n)))
+    shorter = without(residual, model, place)
+    if beside:
+        shorter = without_unknown(residual, shorter, *beside)
+    gain = gain_between(residual, shorter, model)
+    freedom = model.base.shape[2] - shorter.base.shape[2]
+    gains = screen(residual, shorter.noise, library, shorter.base, shorter.misfit)
+    forms = [(c, v) for c, v in best_forms(library, gains) if acts_on(term.effect.triad, c.name)]
+    step = best_unknown(
+        residual, library, shorter, forms, max(least, 0.5 * evidence(gain, freedom))
+    )
+    if step is None or not is_clearer_than(residual, step, model, freedom):
+        return None
+    return step, beside
+
+
+def as_telling(residual: Residual, library: Library, shorter: Model, name: str) -> tuple[str, ...]:
+    """Return the covariates that explain as much as an unknown dependence in its place.
+
+    `shorter` is the model without it. It stands first; the others are of the same triad.
+    """
+    gains = screen(residual, shorter.noise, library, shorter.base, shorter.misfit)
+    triad = name.split(" ", maxsplit=1)[0]
+    value: dict[str, float] = {}
+    for candidate, gain in zip(library.candidates, gains.gain, strict=True):
+        if candidate.effect is None and candidate.name.startswith(triad):
+            found = evidence(float(gain), candidate.freedom)
+            value[candidate.name] = max(found, value.get(candidate.name, 0.0))
+    near = [other for other, found in value.items() if found > value[name] - CLEARLY]
+    near.sort(key=lambda other: (other != name, -value[other]))
+    return tuple(other.split(" ", 1)[1] for other in near)

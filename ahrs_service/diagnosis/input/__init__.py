@@ -1,0 +1,1 @@
+"""From a recording and its reference to the misfit of its IMU."""

@@ -1,0 +1,75 @@
+"""Whether the parts of a recording agree on what was fitted to all of it."""
+
+from typing import Final
+
+import numpy as np
+from scipy.stats import chi2
+
+from ahrs_service.diagnosis.hypotheses.model import Model, free_numbers
+from ahrs_service.diagnosis.input.misfit import Residual
+from ahrs_service.diagnosis.noise_model.likelihood import solve
+from ahrs_service.records import Floats
+
+_BLOCKS: Final = 12
+_SURE: Final = 1e-3
+_EXCITED: Final = 0.01
+
+
+def scatter_of_term(residual: Residual, model: Model, place: int) -> float:
+    """Return by how much blocks of the recording contradict each other on the numbers of a term."""
+    numbers = free_numbers(model.terms)
+    first = model.base.shape[2] - len(numbers)
+    own = [first + n for n, number in enumerate(numbers) if number.term == place]
+    return scatter(residual, model, own) if own else 1.0
+
+
+def scatter_of_unknown(residual: Residual, model: Model, name: str) -> float:
+    """Return the same on an unknown dependence."""
+    first = model.base.shape[2] - len(free_numbers(model.terms)) - len(model.unknown)
+    return scatter(residual, model, [first + n for n, of in enumerate(model.unknown) if of == name])
+
+
+def scatter(residual: Residual, model: Model, columns: list[int]) -> float:
+    """Return by how much blocks of the recording contradict each other, 1 where they do not.
+
+    `columns` of the model's base. With G_b the Gram matrix of these columns, freed of all others,
+    in block b and s_b their product with the innovations left there (whose sum is nil), the sum
+    of s_b' G_b^-1 s_b is chi-squared with (blocks - 1) K degrees of freedom where the noise is what
+    the model says. Where it is larger by more than chance (one in a thousand), the ratio of the two
+    is that of true variances to those of the model, as of Birge's for measurements that scatter
+    more than they claim (Birge, Phys. Rev. 40, 207, 1932): noise that is not white, heavy tails,
+    or numbers that are not the same throughout.
+    """
+    rows = np.concatenate([model.base, model.misfit[:, :, None]], axis=2)
+    white, _ = residual.whiten(model.noise, rows)
+    flat = white.reshape(-1, white.shape[2])
+    whole = flat.T @ flat + model.prior
+    own = np.zeros(len(whole) - 1, np.bool_)
+    own[columns] = True
+    others = np.flatnonzero(~own)
+    left = flat[:, -1] - flat[:, :-1] @ solve(whole[:-1, :-1], whole[:-1, -1])[0]
+    _, inverse, _ = solve(whole[np.ix_(others, others)], whole[others, -1])
+    shared = inverse @ whole[np.ix_(others, np.flatnonzero(own))]
+    freed = (flat[:, :-1][:, own] - flat[:, others] @ shared).reshape(len(white), 6, -1)
+    left = left.reshape(len(white), 6)
+    blocks = np.array_split(np.flatnonzero(residual.missing == 0.0), _BLOCKS)
+    grams = np.array([np.einsum("nij,nik->jk", freed[b], freed[b]) for b in blocks])
+    scores = np.array([np.einsum("nij,ni->j", freed[b], left[b]) for b in blocks])
+    return _ratio(grams, scores)
+
+
+def _ratio(grams: Floats, scores: Floats) -> float:
+    """Return the ratio of the scores' scatter [B, K] to their Gram matrices [B, K, K]."""
+    total = grams.sum(axis=0)
+    values, vectors = np.linalg.eigh(total)
+    kept = values > values[-1] * 1e-9
+    root = vectors[:, kept] / np.sqrt(values[kept])
+    found, freedom = 0.0, -int(kept.sum())
+    for gram, score in zip(grams, scores, strict=True):
+        shares, axes = np.linalg.eigh(root.T @ gram @ root)
+        excited = shares > _EXCITED
+        found += float(np.sum((axes.T @ (root.T @ score))[excited] ** 2 / shares[excited]))
+        freedom += int(excited.sum())
+    if freedom < 1 or chi2.sf(found, freedom) > _SURE:
+        return 1.0
+    return max(1.0, found / freedom)

@@ -1,0 +1,1 @@
+"""What the misfit would be without left-out physics: its noise and likelihood."""

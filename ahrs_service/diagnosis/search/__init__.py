@@ -1,0 +1,1 @@
+"""The search for the model that explains the misfit."""

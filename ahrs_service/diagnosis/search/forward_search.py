@@ -1,0 +1,338 @@
+"""The search for what was left out: forward by likelihood, with swaps, then back.
+
+Every hypothesis is screened by its gain under the noise as it is; the best few are then fitted in
+full, nonlinear parameters and noise with them, because an effect that is there inflates the noise
+of a model without it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from ahrs_service.diagnosis.hypotheses.candidates import Candidate, Library
+from ahrs_service.diagnosis.hypotheses.hypothesis import (
+    Step,
+    best_forms,
+    extend,
+    step_between,
+    without,
+    without_unknown,
+)
+from ahrs_service.diagnosis.hypotheses.model import (
+    Model,
+    bare,
+    choose,
+    free_numbers,
+    gain_between,
+    is_plausible,
+    refit,
+)
+from ahrs_service.diagnosis.hypotheses.named_vs_unknown import (
+    as_telling,
+    best_unknown,
+    is_clearer_than,
+    unknown_instead,
+)
+from ahrs_service.diagnosis.hypotheses.score_test import screen, surprise
+from ahrs_service.diagnosis.input.misfit import Residual
+from ahrs_service.diagnosis.judgement.agreement import scatter_of_term, scatter_of_unknown
+from ahrs_service.diagnosis.judgement.classes import ALIKE, SHARE_OF_MAIN, alike
+from ahrs_service.diagnosis.judgement.held_out_gain import held_out
+from ahrs_service.diagnosis.search.search_threshold import alarm, hypotheses, maxima
+
+ALARM: Final = alarm(20.0)
+"""Surprise [nats] from which a hypothesis is believed: 8.3. By the bootstrap of the maximum
+(diagnosis.chance) a recording's library amounts to 14 to 27 independent hypotheses."""
+
+UNKNOWN_ALARM: Final = 16.0
+"""The same for a smooth unknown dependence: higher, because noise that goes with the motion (a
+jittered reference) raises these tests, of which there are twenty of twelve numbers each."""
+
+_TRIED: Final = 5
+_FITTED: Final = 3
+_CLOSE: Final = 0.6
+_MOST_STEPS: Final = 5
+_KEPT_SHARE: Final = 0.25
+_APART: Final = 0.15
+_FREED: Final = 11.0
+"""More surprise [nats] asked of a gain that is there only once the wander is fitted again: its size
+and time are badly known, and a smaller wander makes more of any slow regressor. Of 100 recordings
+of noise the largest were 17.2 and 15.1 so, wander that follows temperature, and 5.3 before. Not of
+a turned mounting, no slow regressor: there the largest was 4.4, of the 66 of them in motion."""
+_SHARE_OF_UNKNOWN: Final = 0.3
+_SOME: Final = 1.5
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """What the search found.
+
+    `steps` one per term of `model`, in its order, each with gain and surprise against the model
+    without it; `alike` per term the ids that explain as much; `rivals` per term the next best
+    with its gain; `unknown` surprise per unknown dependence left or taken; `telling` per unknown
+    dependence the covariates that explain as much, its own first; `hypotheses` how many
+    independent ones were looked at; `scatter` per term by how much its variances are larger
+    than the noise says, see diagnosis.agreement.
+    """
+
+    bare: Model
+    model: Model
+    steps: tuple[Step, ...]
+    alike: tuple[tuple[str, ...], ...]
+    rivals: tuple[tuple[str, float] | None, ...]
+    unknown: dict[str, float]
+    telling: dict[str, tuple[str, ...]]
+    hypotheses: float
+    scatter: tuple[float, ...]
+
+
+def _named(ranking: list[tuple[Candidate, float]], model: Model) -> list[tuple[Candidate, float]]:
+    taken = {term.effect.id for term in model.terms}
+    return [(c, value) for c, value in ranking if c.effect is not None and c.effect.id not in taken]
+
+
+def best_step(residual: Residual, library: Library, model: Model, least: float) -> Step | None:
+    """Return the best further effect, None where no hypothesis reaches the surprise `least`.
+
+    Where a smooth unknown dependence explains clearly more than any of them, that is returned.
+    """
+    gains = screen(residual, model.noise, library, model.base, model.misfit)
+    forms = best_forms(library, gains)
+    named = _best_named(residual, library, model, forms, least)
+    least_unknown = max(UNKNOWN_ALARM, 0.0 if named is None else 0.5 * named.surprise)
+    unknown = best_unknown(residual, library, model, forms, least_unknown)
+    if unknown is not None and (
+        named is None or is_clearer_than(residual, unknown, named.model, named.candidate.freedom)
+    ):
+        return unknown
+    return named if named is not None and named.surprise > least else None
+
+
+def _is_possible(library: Library, step: Step) -> bool:
+    """Whether a step's numbers are of a size that an IMU can have; what is not is noted."""
+    if is_plausible(step.model):
+        return True
+    library.implausible[step.candidate.name] = step.model.terms[-1], step.gain
+    return False
+
+
+def _is_swallowed(candidate: Candidate, value: float) -> bool:
+    """Whether the noise of a model without it may have taken up what a candidate explains.
+
+    Only a fit with the noise parts a constant error from the reference's own that lasts.
+    """
+    return candidate.is_constant and value > _SOME
+
+
+def _best_named(
+    residual: Residual,
+    library: Library,
+    model: Model,
+    forms: list[tuple[Candidate, float]],
+    least: float,
+) -> Step | None:
+    """Return the most surprising effect: settled, then those in reach fitted with their noise."""
+    ranking = [(c, value) for c, value in _named(forms, model) if value > 0.5 * least][:_TRIED]
+    ranking += [(c, v) for c, v in forms if _is_swallowed(c, v) and (c, v) not in ranking]
+    if not ranking:
+        return None
+    steps = [extend(residual, library, model, c, has_noise=False) for c, _ in ranking]
+    held = {step.candidate.name: step.surprise for step in steps}
+    top = max(held.values())
+    close = sorted(steps, key=lambda step: -step.surprise)
+    fitted = [
+        step_between(residual, model, step.candidate, refit(residual, step.model))
+        for rank, step in enumerate(close)
+        if (rank < _FITTED and step.surprise >= _CLOSE * top)
+        or _is_swallowed(step.candidate, step.surprise)
+    ]
+    fitted = [step for step in fitted if _is_possible(library, step)]
+    best = max(fitted, key=lambda step: step.surprise, default=None)
+    if best is None or held[best.candidate.name] >= least:
+        return best
+    freed = 0.0 if best.candidate.is_constant else _FREED
+    if best.surprise >= least + freed:
+        return best
+    return None
+
+
+def search(residual: Residual, library: Library, progress: Progress | None = None) -> Search:
+    """Find the effects that explain a misfit, and what else it depends on."""
+    tell = progress or (lambda share: None)
+    empty = bare(residual)
+    count = hypotheses(maxima(residual, library, empty))
+    tell(0.25)
+    model, taken, unknown, main = empty, list[Step](), dict[str, float](), 0.0
+    unknowns: list[Step] = []
+    for turn in range(_MOST_STEPS):
+        step = best_step(residual, library, model, ALARM + SHARE_OF_MAIN * main)
+        if step is None or step.gain < _beside_unknown(step, unknowns):
+            break
+        main = max(main, step.gain)
+        model = step.model
+        choose(residual, model.noise, model.base, model.misfit, model.prior)
+        if step.candidate.effect is None:
+            unknown[step.candidate.name] = step.surprise
+            unknowns.append(step)
+        else:
+            taken.append(step)
+            model, taken = _swap(residual, library, model, taken)
+        tell(0.25 + 0.1 * (turn + 1))
+    model, taken, unknown = _agreed(residual, model, taken, unknown)
+    model, taken, unknown = _pruned(residual, model, taken, unknown)
+    model, taken, unknown = _reformed(residual, library, model, taken, unknown)
+    model, taken = _confirmed(residual, model, taken)
+    tell(0.8)
+    telling = {
+        name: as_telling(residual, library, without_unknown(residual, model, name), name)
+        for name in unknown
+    }
+    scatter = tuple(scatter_of_term(residual, model, place) for place in range(len(taken)))
+    steps, classes, rivals = [], [], []
+    for place, step in enumerate(taken):
+        shorter = without(residual, model, place)
+        gain = gain_between(residual, shorter, model)
+        freedom = step.candidate.freedom
+        steps.append(Step(step.candidate, shorter, gain, surprise(gain, freedom)))
+        same, rival = alike(residual, library, shorter, model, place, steps[-1])
+        classes.append(same)
+        rivals.append(rival)
+    return Search(
+        empty, model, tuple(steps), tuple(classes), tuple(rivals), unknown, telling, count, scatter
+    )
+
+
+def _overlap(model: Model, place: int) -> float:
+    """Return the largest correlation between the numbers of one term and those of the others."""
+    own = np.array([number.term == place for number in free_numbers(model.terms)])
+    sigma = np.sqrt(np.maximum(np.diag(model.covariance), 1e-300))
+    correlation = model.covariance / sigma[:, None] / sigma[None, :]
+    return float(np.abs(correlation[np.ix_(own, ~own)]).max(initial=0.0))
+
+
+def _beside_unknown(step: Step, unknowns: list[Step]) -> float:
+    """Return the gain that a step needs where something unknown acts on its triad.
+
+    What a smooth form leaves of the unknown imitates much; only a part of its size is believed.
+    """
+    triad = step.candidate.name.split(" ")[0].split("_")[0]
+    there = [u.gain for u in unknowns if triad in (u.candidate.name.split(" ")[0], "imu")]
+    return _SHARE_OF_UNKNOWN * max(there, default=0.0)
+
+
+def _swap(
+    residual: Residual, library: Library, model: Model, taken: list[Step]
+) -> tuple[Model, list[Step]]:
+    """Put another effect in the place of each but the last where that explains more.
+
+    Only where their numbers are correlated could the first have stood in for both.
+    """
+    for place in range(len(taken) - 1):
+        if _overlap(model, place) < _APART:
+            continue
+        shorter = without(residual, model, place)
+        step = best_step(residual, library, shorter, ALARM)
+        if step is None or step.candidate.effect is None:
+            continue
+        name, freedom = taken[place].candidate.name, taken[place].candidate.freedom
+        own = surprise(gain_between(residual, shorter, model), freedom)
+        if step.surprise > own + ALIKE and step.candidate.name != name:
+            return step.model, [*taken[:place], *taken[place + 1 :], step]
+    return model, taken
+
+
+def _pruned(
+    residual: Residual, model: Model, taken: list[Step], unknown: dict[str, float]
+) -> tuple[Model, list[Step], dict[str, float]]:
+    """Leave out what explains little beside the rest: unknown dependences first, then effects."""
+    if len(taken) + len(unknown) < 2:
+        return model, taken, unknown
+    for name in tuple(unknown):
+        shorter = without_unknown(residual, model, name)
+        gain = gain_between(residual, shorter, model)
+        freedom = model.unknown.count(name)
+        if surprise(gain, freedom) < UNKNOWN_ALARM:
+            model = shorter
+            unknown = {key: value for key, value in unknown.items() if key != name}
+    place = 0
+    while place < len(taken):
+        shorter = without(residual, model, place)
+        gain = gain_between(residual, shorter, model)
+        step = taken[place]
+        is_small = unknown and gain < _KEPT_SHARE * step.gain
+        if is_small or surprise(gain, step.candidate.freedom) < ALARM:
+            model, taken = shorter, taken[:place] + taken[place + 1 :]
+        else:
+            place += 1
+    return model, taken, unknown
+
+
+def _reformed(
+    residual: Residual,
+    library: Library,
+    model: Model,
+    taken: list[Step],
+    unknown: dict[str, float],
+) -> tuple[Model, list[Step], dict[str, float]]:
+    """Put an unknown dependence in the place of every name that it explains clearly more than."""
+    if len(taken) + len(unknown) < 2:
+        return model, taken, unknown
+    place = 0
+    while place < len(taken):
+        found = unknown_instead(residual, library, model, place, UNKNOWN_ALARM)
+        if found is None:
+            place += 1
+            continue
+        step, replaced = found
+        model, taken = step.model, taken[:place] + taken[place + 1 :]
+        unknown = {name: value for name, value in unknown.items() if name not in replaced}
+        unknown[step.candidate.name] = step.surprise
+    return _pruned(residual, model, taken, unknown)
+
+
+def _confirmed(residual: Residual, model: Model, taken: list[Step]) -> tuple[Model, list[Step]]:
+    """Leave out every further effect by which blocks that it was not fitted to get worse."""
+    place = 1
+    while place < len(taken):
+        shorter = without(residual, model, place)
+        triad = model.terms[place].effect.triad
+        if held_out(residual, shorter, model, triad).log_likelihood_gain < 0.0:
+            model, taken = shorter, taken[:place] + taken[place + 1 :]
+        else:
+            place += 1
+    return model, taken
+
+
+def _agreed(
+    residual: Residual, model: Model, taken: list[Step], unknown: dict[str, float]
+) -> tuple[Model, list[Step], dict[str, float]]:
+    """Leave out what parts of the recording contradict each other on, the weakest first.
+
+    The strongest effect stays: what the others leave of it makes its parts differ.
+    """
+    for name in reversed(tuple(unknown)):
+        ratio = scatter_of_unknown(residual, model, name)
+        if ratio > 1.0:
+            shorter = without_unknown(residual, model, name)
+            gain = gain_between(residual, shorter, model)
+            if surprise(gain / ratio, model.unknown.count(name)) < UNKNOWN_ALARM:
+                model = shorter
+                unknown = {key: value for key, value in unknown.items() if key != name}
+    while len(taken) > 1:
+        ratios = [scatter_of_term(residual, model, place) for place in range(len(taken))]
+        if max(ratios) == 1.0:
+            break
+        others = [without(residual, model, place) for place in range(len(taken))]
+        gains = [gain_between(residual, one, model) for one in others]
+        left = [
+            surprise(gain / ratio, step.candidate.freedom) if gain < max(gains) else np.inf
+            for gain, ratio, step in zip(gains, ratios, taken, strict=True)
+        ]
+        weakest = int(np.argmin(left))
+        if left[weakest] >= ALARM or ratios[weakest] == 1.0:
+            break
+        model, taken = others[weakest], taken[:weakest] + taken[weakest + 1 :]
+    return model, taken, unknown

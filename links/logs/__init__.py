@@ -1,0 +1,1 @@
+"""Recordings: .tlog, ULog and DataFlash, read and written."""

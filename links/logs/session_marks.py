@@ -1,0 +1,106 @@
+"""Settings, calibration and estimator state inside a .tlog, as TUNNEL messages of our component.
+
+Every file of a recording begins, at its first frame, with the settings in force, the calibration if
+there is one, and, after a rotation, the state; a change of settings or of the calibration is marked
+where it happened. A replay of any one file then starts and goes on as the live service did, and
+other readers of the file skip the messages.
+"""
+
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ahrs_service.links.mavlink.codec import dialect
+from ahrs_service.records import Rows
+
+
+class MarkKind(IntEnum):
+    """Payload types from the range that MAVLink leaves to private use (32768 and up)."""
+
+    SETTINGS = 0xA501
+    STATE = 0xA502
+    CALIBRATION = 0xA503
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """One mark: what it is, its bytes, and the frame of the file that completes it."""
+
+    kind: MarkKind
+    data: bytes
+    frame: int
+
+
+_PART: Final = struct.Struct("<HH")
+_KINDS: Final = frozenset(int(kind) for kind in MarkKind)
+_PAYLOAD: Final = 128
+_PART_BYTES: Final = _PAYLOAD - _PART.size
+
+
+def mark_messages(kind: MarkKind, data: bytes) -> list[Any]:
+    """Return the TUNNEL messages that carry `data`: part number, part count, up to 124 bytes."""
+    parts = [data[i : i + _PART_BYTES] for i in range(0, len(data), _PART_BYTES)]
+    messages = []
+    for index, part in enumerate(parts):
+        payload = _PART.pack(index, len(parts)) + part
+        messages.append(
+            dialect.MAVLink_tunnel_message(
+                0, 0, int(kind), len(payload), list(payload.ljust(_PAYLOAD, b"\0"))
+            )
+        )
+    return messages
+
+
+def is_mark(message: Any) -> bool:
+    """Return whether a received message would be taken for a mark by `read_marks`.
+
+    Marks are only ever written to files: one that arrives over a link is forged, or comes of a
+    recording that somebody plays, and must not reach a recording.
+    """
+    return (
+        message.get_msgId() == dialect.MAVLINK_MSG_ID_TUNNEL and int(message.payload_type) in _KINDS
+    )
+
+
+def _own(table: Rows) -> npt.NDArray[np.bool_]:
+    return np.isin(table["payload_type"], list(_KINDS))
+
+
+def read_marks(tables: Mapping[tuple[int, int, str], Rows]) -> Iterator[Mark]:
+    """Yield the marks of a recording's message tables, in file order.
+
+    Only a file that begins with a mark is one of ours, and only that component's marks count: its
+    recorder keeps `is_mark` messages of others out, while a ground station's recording holds
+    whatever anybody sent. An incomplete one, as at the end of a cut file, is passed over.
+    """
+    tunnels = {
+        key: table for key, table in tables.items() if key[2] == "TUNNEL" and _own(table).any()
+    }
+    writers = [
+        key[1] for key, table in tunnels.items() if table["frame_index"][_own(table)][0] == 0
+    ]
+    if not writers:
+        return
+    table = np.concatenate([table for key, table in tunnels.items() if key[1] == writers[0]])
+    pending: dict[int, list[bytes]] = {}
+    for row in table[np.argsort(table["frame_index"], kind="stable")]:
+        kind = int(row["payload_type"])
+        length = int(row["payload_length"])
+        if kind not in _KINDS or not _PART.size <= length <= _PAYLOAD:
+            continue
+        payload = row["payload"][:length].tobytes()
+        index, count = _PART.unpack_from(payload)
+        if index == 0:
+            pending[kind] = []
+        parts = pending.get(kind, [])
+        if index != len(parts):
+            continue
+        parts.append(payload[_PART.size :])
+        if len(parts) == count:
+            yield Mark(MarkKind(kind), b"".join(parts), int(row["frame_index"]))
+            pending.pop(kind)

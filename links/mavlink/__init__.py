@@ -1,0 +1,1 @@
+"""MAVLink as bytes and as readings: frames, messages, signatures."""

@@ -1,0 +1,1 @@
+"""Bytes in and out: UDP, TCP and serial links, opened by URI."""
