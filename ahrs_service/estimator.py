@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service import intake, pipeline
+from ahrs_service.errors import StateError
 from ahrs_service.fusion import alignment
 from ahrs_service.fusion.ground_velocity import HISTORY
 from ahrs_service.fusion.states import AIDED, GATED, UNAIDED
@@ -35,10 +36,6 @@ _STATE_MARK: Final = hashlib.sha256(
 ).digest()[:8]
 _STATES: Final = (0, GATED, UNAIDED, AIDED)
 """How many error states are in use: none before the first sample."""
-
-
-class StateError(ValueError):
-    """Saved state bytes that this version cannot take, or that are damaged."""
 
 
 class Estimator:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from ahrs_service.errors import ViewerError
 from ahrs_service.records import ESTIMATE_DTYPE, Rows
 from ahrs_service.settings import GateSettings
 
@@ -27,13 +28,7 @@ if TYPE_CHECKING:
 HOST: Final = "127.0.0.1"
 _DRAIN_S: Final = 10.0
 _SHOWN_DTYPE: Final = np.dtype([("estimate", ESTIMATE_DTYPE), ("raw", "f8", 6)])
-
-
 _NOT_SHOWN: Final = np.full(6, np.nan).tobytes()
-
-
-class ViewerError(Exception):
-    """The viewer cannot start; the message says what to change."""
 
 
 class LiveViewer:

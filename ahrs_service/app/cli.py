@@ -8,8 +8,8 @@ from typing import Final
 from rich.console import Console
 from rich.markup import escape
 
-from ahrs_service.app.files.config_file import ConfigError
-from ahrs_service.links.errors import LinkError
+from ahrs_service import __version__
+from ahrs_service.errors import AhrsError
 
 COMMANDS: Final = {
     "demo": ("ahrs_service.app.live.demo", "fly a simulated aircraft and watch the service work"),
@@ -35,8 +35,6 @@ COMMANDS: Final = {
     "simulate": ("ahrs_service.app.simulate.command", "fly the simulated autopilot over a link"),
 }
 
-EXIT_FAILED: Final = 1
-EXIT_USAGE: Final = 2
 EXIT_INTERRUPTED: Final = 130
 
 
@@ -51,6 +49,7 @@ def _usage() -> argparse.ArgumentParser:
         + "\n\nexit codes: 0 done, 1 failed, 2 wrong usage or settings, 130 interrupted",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
     parser.add_argument("command", choices=list(COMMANDS), metavar="COMMAND")
     return parser
 
@@ -70,12 +69,9 @@ def main(arguments: list[str] | None = None) -> int:
     errors = Console(stderr=True, soft_wrap=True, highlight=False)
     try:
         return int(module.run(parser.parse_args(words[1:])))
-    except ConfigError as error:
-        errors.print(f"[bold red]error:[/] {escape(str(error))}")
-        return EXIT_USAGE
-    except LinkError as error:
-        errors.print(f"[bold red]error:[/] {escape(str(error))}")
-        return EXIT_FAILED
+    except AhrsError as error:
+        errors.print(f"[bold red]{error.headline}:[/] {escape(str(error))}")
+        return error.exit_code
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
 

@@ -1,5 +1,5 @@
-"""Why a calibration was not begun or not finished."""
+"""Why a calibration was not begun or not finished: of the tree in `ahrs_service.errors`."""
 
+from ahrs_service.errors import CalibrationError
 
-class CalibrationError(ValueError):
-    """The data cannot be calibrated from; the text says in a sentence why and what to do."""
+__all__ = ["CalibrationError"]

@@ -9,8 +9,8 @@ import pytest
 from ahrs_service.app.calibrate.capture import Capture, read_capture
 from ahrs_service.app.calibrate.outcome import unit_of
 from ahrs_service.app.files import calibration_file
-from ahrs_service.app.files.config_file import ConfigError
 from ahrs_service.calibration.columns import ImuColumns
+from ahrs_service.errors import ConfigError
 from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.settings import IntakeSettings
 

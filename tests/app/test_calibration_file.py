@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ahrs_service.app.files import calibration_file
-from ahrs_service.app.files.config_file import ConfigError
+from ahrs_service.errors import ConfigError
 from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.parameters import NIL, Calibration, TriadCalibration
 from ahrs_service.sensor.provenance import Provenance, SourceRecording, Uncertainty, Verdict

@@ -11,10 +11,10 @@ import pytest
 from ahrs_service.app.cli import main
 from ahrs_service.app.files import calibration_file
 from ahrs_service.app.files.calibration_choice import CalibrationShelf
-from ahrs_service.app.files.config_file import ConfigError
 from ahrs_service.app.live.daemon import Daemon
 from ahrs_service.app.replay.export_rrd import write_recording
 from ahrs_service.app.replay.replay_log import replay_log
+from ahrs_service.errors import ConfigError
 from ahrs_service.links.errors import RecordingError
 from ahrs_service.links.mavlink.codec import Encoder, dialect
 from ahrs_service.rotation import euler_columns

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ahrs_service.app.files.config_file import ConfigError, from_json, load, to_json
+from ahrs_service.app.files.config_file import from_json, load, to_json
+from ahrs_service.errors import ConfigError
 from ahrs_service.settings import GateSettings, LinkSettings, Settings
 
 SECTIONS = [field.name for field in dataclasses.fields(Settings)]
@@ -35,8 +36,8 @@ def test_a_file_and_the_command_line_above_it(tmp_path):
         ("gate.norm_m_s2=soft", ["gate.norm_m_s2", "'soft'", "number"]),
         ("gate.norm_m_s2=inf", ["gate.norm_m_s2", "finite"]),
         ("gate.norm_m_s2=nan", ["gate.norm_m_s2"]),
-        ("gate.nrom_m_s2=1", ["gate.nrom_m_s2", "no such setting", "norm_m_s2"]),
-        ("gates.norm_m_s2=1", ["gates", "no such setting", "gate"]),
+        ("gate.nrom_m_s2=1", ["gate.nrom_m_s2", "no such field", "norm_m_s2"]),
+        ("gates.norm_m_s2=1", ["gates", "no such field", "gate"]),
         ("intake.system=256", ["intake.system", "256", "255"]),
         ("intake.imu_source=gyro", ["intake.imu_source", "'gyro'", "HIGHRES_IMU"]),
         ("intake.temperature_source=barometer", ["temperature_source", "'barometer'"]),

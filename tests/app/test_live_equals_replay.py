@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 
 from ahrs_service.app.files.config_file import to_json
 from ahrs_service.app.replay.replay_log import replay_log
-from ahrs_service.estimator import Estimator, StateError
+from ahrs_service.errors import StateError
+from ahrs_service.estimator import Estimator
 from ahrs_service.intake import STATE_DTYPE as INTAKE_STATE
 from ahrs_service.links.logs.session_marks import MarkKind, mark_messages
 from ahrs_service.links.logs.tlog import read_tlog

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from ahrs_service.app.cli import main
-from ahrs_service.app.files import config_file, profiles
-from ahrs_service.app.files.config_file import ConfigError, from_json, load, to_json
+from ahrs_service.app.files import profiles, toml_file
+from ahrs_service.app.files.config_file import from_json, load, to_json
 from ahrs_service.app.replay.replay_log import replay_log
+from ahrs_service.errors import ConfigError
 from ahrs_service.fusion import gating
 from ahrs_service.settings import FusionSettings, GateBudget, Settings
 from ahrs_service.simulation.scenario import make_flight
@@ -27,7 +28,7 @@ def test_a_profile_names_its_class_and_gives_all_its_numbers(name):
     airframe = CLASSES.get(name, name)
     settings = load(profile=name)
     assert settings.fusion.airframe == airframe
-    document = config_file.read_toml(profiles.file_of(name))
+    document = toml_file.read(profiles.file_of(name))
     fields = [field.name for field in dataclasses.fields(getattr(settings, airframe))]
     assert set(document[airframe]) == set(fields)
 
@@ -197,7 +198,7 @@ def estimated(given, out, *options):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_estimate_with_a_profile_is_estimate_with_its_settings(given, tmp_path, name):
-    document = config_file.read_toml(profiles.file_of(name))
+    document = toml_file.read(profiles.file_of(name))
     overrides = [
         f"--set={section}.{key}={value}"
         for section, part in document.items()

@@ -210,10 +210,10 @@ WRONG = [
     (["run", *LINK, "--config", "loop.toml"], 2, "loop.toml: Too many levels"),
     (["run", *LINK, "--config", "broken.toml"], 2, "broken.toml: not valid TOML"),
     (["run", *LINK, "--config", "binary.toml"], 2, "binary.toml: not valid TOML"),
-    (["run", *LINK, "--config", "typo.toml"], 2, r"gate.norm: no such setting; .*norm_m_s2"),
+    (["run", *LINK, "--config", "typo.toml"], 2, r"gate.norm: no such field; .*norm_m_s2"),
     (["run", *LINK, "--config", "wrong.toml"], 2, r"wrong.toml: gate.norm_m_s2 = -1: .*great"),
-    (["run", *LINK, "--set", "gate.nrom_m_s2=1"], 2, "gate.nrom_m_s2: no such setting"),
-    (["run", *LINK, "--set", "gates.norm_m_s2=1"], 2, "gates: no such setting; known are intake"),
+    (["run", *LINK, "--set", "gate.nrom_m_s2=1"], 2, "gate.nrom_m_s2: no such field"),
+    (["run", *LINK, "--set", "gates.norm_m_s2=1"], 2, "gates: no such field; known are intake"),
     (["run", *LINK, "--set", "gate.norm_m_s2"], 2, "write section.key=value"),
     (["run", *LINK, "--set", "norm_m_s2=1"], 2, "write section.key=value"),
     (["run", *LINK, "--set", "gate.norm_m_s2=wide"], 2, "gate.norm_m_s2 = 'wide'"),
@@ -229,7 +229,7 @@ WRONG = [
     (["replay", "text.tlog"], 1, "text.tlog: holds no MAVLink frames"),
     (["replay", "typo.toml"], 1, "typo.toml"),
     (["replay", "text.tlog", "--config", "folder"], 2, "folder: Is a directory"),
-    (["replay", "text.tlog", "--set", "gate.norm=1"], 2, "gate.norm: no such setting"),
+    (["replay", "text.tlog", "--set", "gate.norm=1"], 2, "gate.norm: no such field"),
     (["play", "missing.tlog", *LINK[:2]], 1, "missing.tlog: no such file"),
     (["play", "folder", *LINK[:2]], 1, "folder: cannot be read"),
     (["play", "text.tlog", *LINK[:2]], 1, "text.tlog: holds no MAVLink frames"),
@@ -237,7 +237,7 @@ WRONG = [
     (["simulate", "--link", "carrier:pigeon", "--seconds", "1"], 1, "no such kind of link"),
     (["simulate", "--tlog", "x.tlog", "--scenario", "moon"], 2, "'moon': choose one of"),
     (["demo", "--out", "there.tlog"], 2, "--out there.tlog: Not a directory"),
-    (["demo", "--set", "gate.norm=1"], 2, "gate.norm: no such setting"),
+    (["demo", "--set", "gate.norm=1"], 2, "gate.norm: no such field"),
 ]
 
 

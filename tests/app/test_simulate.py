@@ -164,7 +164,7 @@ def test_a_script_is_flown_phase_by_phase(tmp_path):
         ("phases = []", "phases = []: Tuple should have at least 1 item"),
         ("wind = 3.0\n[[phases]]\nname='a'\nseconds=3.0", "wind: no such field"),
         ("[[phases]]\nname = 'a'\nseconds = 5.0\nroll_deg = 90.0", "phases.0.roll_deg = 90.0"),
-        ("[[phases]]\nname = 'a'", "phases.0.seconds is missing"),
+        ("[[phases]]\nname = 'a'", "phases.0.seconds: is missing"),
         ("[[phases]", "not valid TOML"),
     ],
 )

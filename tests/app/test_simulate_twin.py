@@ -152,7 +152,7 @@ def entry(text):
     ("text", "words"),
     [
         ('[[effects]]\nid = "gyro_gremlins"', "gyro_gremlins is no known effect"),
-        ("[[effects]]\nk = 1.0", "effects.0.id is missing"),
+        ("[[effects]]\nk = 1.0", "effects.0.id: is missing"),
         (entry("k = [1.0, 0.0, 0.0]"), "no parameter k; there are per_vibration_variance"),
         (entry("per_vibration_variance = 1.0"), "per_vibration_variance: 1.0 has"),
         (

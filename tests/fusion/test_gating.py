@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ahrs_service.app.files.config_file import ConfigError, from_json, load, to_json
+from ahrs_service.app.files.config_file import from_json, load, to_json
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2 as G
+from ahrs_service.errors import ConfigError
 from ahrs_service.fusion.gating import (
     angular_acceleration_limit,
     in_force,
@@ -175,7 +176,7 @@ def test_a_budget_is_a_setting_and_travels_with_the_recording(tmp_path):
         (["tangential_m_s2=0.2", "arm_m=[0, 1, 0]"], ["tangential_m_s2 = 0.2", "arm_m", "1.0"]),
         (["tilt_deg=61"], ["gate_budget.tilt_deg", "61", "60"]),
         (["acceleration_m_s2=0"], ["gate_budget.acceleration_m_s2", "greater than 0"]),
-        (["tilt=1"], ["gate_budget.tilt", "no such setting", "tilt_deg"]),
+        (["tilt=1"], ["gate_budget.tilt", "no such field", "tilt_deg"]),
     ],
 )
 def test_a_budget_from_which_no_limit_follows_is_refused(overrides, words):

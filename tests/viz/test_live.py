@@ -7,9 +7,10 @@ import sys
 import numpy as np
 import pytest
 
+from ahrs_service.errors import ViewerError
 from ahrs_service.records import READING_DTYPE, empty
 from ahrs_service.viz import batch, entities
-from ahrs_service.viz.live import LiveViewer, ViewerError
+from ahrs_service.viz.live import LiveViewer
 
 HTTP2_PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])
 SETTINGS_FRAME = 4

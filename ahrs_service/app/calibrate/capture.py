@@ -14,11 +14,11 @@ from typing import Final
 import numpy as np
 
 from ahrs_service import intake
-from ahrs_service.app.files.config_file import ConfigError
 from ahrs_service.calibration.autopilots.double_compensation import already_compensated
 from ahrs_service.calibration.columns import ImuColumns
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.errors import ConfigError
 from ahrs_service.links.errors import RecordingError
 from ahrs_service.links.logs.recorded_parameters import read_recorded_parameters
 from ahrs_service.links.logs.recording import Recording

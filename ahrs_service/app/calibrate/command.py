@@ -7,13 +7,6 @@ import argparse
 import importlib
 from typing import Final
 
-from rich.console import Console
-from rich.markup import escape
-
-from ahrs_service.calibration.errors import CalibrationError
-
-EXIT_REFUSED: Final = 1
-
 PROCEDURES: Final[dict[str, tuple[str, str]]] = {
     "six-position": (
         "ahrs_service.app.calibrate.six_position",
@@ -66,9 +59,4 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the chosen procedure; return the exit code."""
     module_name, _ = PROCEDURES[arguments.procedure]
-    try:
-        return int(importlib.import_module(module_name).run(arguments))
-    except CalibrationError as error:
-        errors = Console(stderr=True, soft_wrap=True, highlight=False)
-        errors.print(f"[bold red]refused:[/] {escape(str(error))}")
-        return EXIT_REFUSED
+    return int(importlib.import_module(module_name).run(arguments))

@@ -26,10 +26,10 @@ from ahrs_service.app.calibrate import parameter_change
 from ahrs_service.app.calibrate.conversion import exports_of, typed
 from ahrs_service.app.calibrate.loss_table import loss_table
 from ahrs_service.app.files import calibration_file, config_file
-from ahrs_service.app.files.config_file import ConfigError
 from ahrs_service.calibration.autopilots import ardupilot_params, px4_params
 from ahrs_service.calibration.autopilots.double_compensation import already_compensated
 from ahrs_service.calibration.autopilots.export import Export
+from ahrs_service.errors import ConfigError
 from ahrs_service.links.component.parameter_client import ParameterClient
 from ahrs_service.links.component.parameter_values import ARDUPILOT, PX4
 from ahrs_service.links.errors import ParamError

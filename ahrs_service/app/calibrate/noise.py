@@ -28,13 +28,13 @@ from rich.text import Text
 from ahrs_service.app import options
 from ahrs_service.app.calibrate import capture, session
 from ahrs_service.app.calibrate.allan import longest_still
-from ahrs_service.app.files.config_file import ConfigError
 from ahrs_service.app.replay.replay_log import replay_log
 from ahrs_service.calibration.allan import overlapping_deviation, random_walk_at
 from ahrs_service.calibration.columns import AXES, ImuColumns
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.guide import guide_recording
 from ahrs_service.calibration.noise import GateNoise, gate_noise
+from ahrs_service.errors import ConfigError
 from ahrs_service.records import Rows
 
 EXIT_DONE: Final = 0

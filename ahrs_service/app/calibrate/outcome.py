@@ -17,9 +17,9 @@ from rich.text import Text
 from ahrs_service.app import options
 from ahrs_service.app.calibrate.capture import Capture
 from ahrs_service.app.files import calibration_file
-from ahrs_service.app.files.config_file import ConfigError
 from ahrs_service.calibration.triad import NAMES, TriadFit, vector
 from ahrs_service.calibration.verdict import Level, TriadVerdict, Verdict
+from ahrs_service.errors import ConfigError
 from ahrs_service.records import IMU_OF_SOURCE, ImuSource
 from ahrs_service.sensor import provenance
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration

@@ -23,7 +23,6 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ahrs_service.app.calibrate import capture, outcome, poses
-from ahrs_service.app.files.config_file import ConfigError
 from ahrs_service.calibration.columns import check_saturation
 from ahrs_service.calibration.rate_table import (
     Mounting,
@@ -34,6 +33,7 @@ from ahrs_service.calibration.rate_table import (
     plateaus,
 )
 from ahrs_service.calibration.verdict import Finding, Level, Vector, judge
+from ahrs_service.errors import ConfigError
 from ahrs_service.records import Floats
 
 _AXES: Final = {

@@ -32,11 +32,11 @@ from ahrs_service.app.calibrate.capture import (
     read_capture,
     read_captures,
 )
-from ahrs_service.app.files.config_file import ConfigError
 from ahrs_service.app.live.daemon import Daemon
 from ahrs_service.app.options import positive
 from ahrs_service.calibration.columns import ImuColumns
 from ahrs_service.calibration.guide import Guidance
+from ahrs_service.errors import ConfigError
 from ahrs_service.links.mavlink.codec import dialect
 from ahrs_service.records import READING_DTYPE, Rows, empty
 from ahrs_service.settings import IntakeSettings, PublishSettings, RecorderSettings, Settings

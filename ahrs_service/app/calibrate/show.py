@@ -20,8 +20,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from ahrs_service.app.files import calibration_file
-from ahrs_service.app.files.config_file import ConfigError
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.errors import ConfigError
 from ahrs_service.records import Floats
 from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.forward import forward_columns

@@ -33,8 +33,8 @@ from ahrs_service import pipeline
 from ahrs_service.app import options
 from ahrs_service.app.estimate import recognition
 from ahrs_service.app.estimate.sample_columns import Columns, doubts, read_columns
-from ahrs_service.app.files import config_file
 from ahrs_service.app.files.calibration_choice import CalibrationShelf
+from ahrs_service.errors import ConfigError
 from ahrs_service.links.errors import RecordingError
 from ahrs_service.records import ESTIMATE_DTYPE, Floats, Rows, empty
 from ahrs_service.rotation import multiply_columns
@@ -137,7 +137,7 @@ def run(args: argparse.Namespace) -> int:
     shelf = CalibrationShelf(options.sensor_of(args, settings.sensor))
     choice, console = shelf.choose(""), Console(stderr=True)
     if choice is None and shelf.is_folder:
-        raise config_file.ConfigError(shelf.refusal(""))
+        raise ConfigError(shelf.refusal(""))
     columns = read_columns(args.source)
     if args.profile is None and settings.fusion.airframe == "auto":
         args.profile = recognition.profile_of(recognition.signs_of(columns, args.frame))

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Final
 
 from ahrs_service.app.files import calibration_file
-from ahrs_service.app.files.config_file import ConfigError
+from ahrs_service.errors import ConfigError
 from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.settings import SensorSettings
 

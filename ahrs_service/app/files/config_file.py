@@ -6,18 +6,15 @@ budget, holds in place of what the layers below say of that limit.
 
 import dataclasses
 import json
-import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
-from pydantic import TypeAdapter, ValidationError
-
 from ahrs_service import intake
-from ahrs_service.app.files import profiles
+from ahrs_service.app.files import profiles, toml_file
+from ahrs_service.errors import ConfigError
 from ahrs_service.settings import Settings
 
-_ADAPTER = TypeAdapter(Settings)
 _REPLACES: Final[dict[tuple[str, str], tuple[str, ...]]] = {
     ("gate", "norm_m_s2"): ("acceleration_m_s2", "tilt_deg"),
     ("gate", "rate_rad_s"): ("centripetal_m_s2",),
@@ -26,10 +23,6 @@ _REPLACES: Final[dict[tuple[str, str], tuple[str, ...]]] = {
     ("gate_budget", "tilt_deg"): ("acceleration_m_s2",),
 }
 """A setting, and the budgets of layers below that would contradict it."""
-
-
-class ConfigError(Exception):
-    """A setting that cannot be used; the message names the file, the field and the value."""
 
 
 def load(
@@ -45,7 +38,7 @@ def load(
         file, document = _read_profile(profile)
         origins.append(str(file))
     if path is not None:
-        _lay_over(document, read_toml(Path(path)))
+        _lay_over(document, toml_file.read(Path(path)))
         origins.append(str(path))
     if given := [(override, *_split(override)) for override in overrides]:
         origins.append("the command line")
@@ -63,7 +56,7 @@ def _read_profile(profile: str) -> tuple[Path, dict[str, Any]]:
             f"--profile {profile}: no such profile; known are {', '.join(profiles.names())}, "
             f"or give a {profiles.SUFFIX} file"
         )
-    document = read_toml(file)
+    document = toml_file.read(file)
     from_document(document, str(file))
     return file, document
 
@@ -92,11 +85,9 @@ def from_document(document: dict[str, Any], origin: str) -> Settings:
         name: {**defaults.get(name, {}), **section} if isinstance(section, dict) else section
         for name, section in document.items()
     }
+    settings = toml_file.validate(complete, Settings, origin)
     try:
-        settings = _ADAPTER.validate_python(complete)
         intake.parameters(settings.intake)
-    except ValidationError as error:
-        raise ConfigError(_explain(error, origin)) from None
     except ValueError as error:
         raise ConfigError(f"{origin}: {error}") from None
     return settings
@@ -111,23 +102,7 @@ def to_json(settings: Settings) -> bytes:
 
 def from_json(text: bytes, origin: str) -> Settings:
     """Read what `to_json` wrote; raises ConfigError."""
-    try:
-        document = json.loads(text)
-    except ValueError as error:
-        raise ConfigError(f"{origin}: recorded settings are no JSON ({error})") from None
-    if not isinstance(document, dict):
-        raise ConfigError(f"{origin}: recorded settings are no table of sections")
-    return from_document(document, origin)
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file; ConfigError says why it cannot be."""
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}; give a readable TOML file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not valid TOML: {error}") from None
+    return from_document(toml_file.parse_json(text, f"{origin}: recorded settings"), origin)
 
 
 def _split(override: str) -> tuple[tuple[str, str], str]:
@@ -142,33 +117,11 @@ def _split(override: str) -> tuple[tuple[str, str], str]:
 def _set(document: dict[str, Any], override: str, setting: tuple[str, str], text: str) -> None:
     """Apply one `section.key=value`; the value is read as TOML, else taken as text."""
     try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        value = toml_file.parse(f"value = {text}", override)["value"]
+    except ConfigError:
         value = text
     name, key = setting
     section = document.setdefault(name, {})
     if not isinstance(section, dict):
         raise ConfigError(f"--set {override}: {name} is not a section")
     section[key] = value
-
-
-def _explain(error: ValidationError, origin: str) -> str:
-    lines = []
-    for problem in error.errors():
-        field = ".".join(str(part) for part in problem["loc"])
-        if problem["type"] == "unexpected_keyword_argument":
-            lines.append(f"{origin}: {field}: no such setting; {_known(problem['loc'])}")
-        elif problem["type"] == "dataclass_type":
-            lines.append(f"{origin}: {field} = {problem['input']!r}: write a table, [{field}]")
-        else:
-            lines.append(f"{origin}: {field} = {problem['input']!r}: {problem['msg']}")
-    return "\n".join(lines)
-
-
-def _known(location: tuple[int | str, ...]) -> str:
-    """List the names allowed beside an unknown one."""
-    names = [field.name for field in dataclasses.fields(Settings)]
-    if len(location) > 1 and location[0] in names:
-        section = getattr(Settings(), str(location[0]))
-        names = [field.name for field in dataclasses.fields(section)]
-    return "known are " + ", ".join(names)

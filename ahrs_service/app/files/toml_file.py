@@ -1,41 +1,99 @@
-"""TOML files as frozen dataclasses: read strictly by pydantic, written whole or not at all."""
+"""TOML and JSON files as frozen dataclasses: one reader, one check, one way to write them.
 
+What is wrong is said in one form: `file: field = value: what to do`, a line for each.
+"""
+
+import functools
 import json
 import os
 import tempfile
+import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
-from ahrs_service.app.files.config_file import ConfigError, read_toml
+from ahrs_service.app.files.field_names import fields_at
+from ahrs_service.errors import ConfigError
 
 _T = TypeVar("_T")
 _LONGEST_LINE: Final = 90
+_LONGEST_VALUE: Final = 100
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Read a TOML file; ConfigError says why it cannot be."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; give a readable TOML file") from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: not valid TOML: {error}") from None
+    return parse(text, str(path))
+
+
+def parse(text: str, origin: str) -> dict[str, Any]:
+    """Read the text of a TOML file; ConfigError names `origin`."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{origin}: not valid TOML: {error}") from None
+
+
+def parse_json(text: bytes, origin: str) -> dict[str, Any]:
+    """Read a table that a recording carries as JSON; ConfigError names `origin`."""
+    try:
+        document = json.loads(text)
+    except ValueError as error:
+        raise ConfigError(f"{origin}: no JSON ({error})") from None
+    if not isinstance(document, dict):
+        raise ConfigError(f"{origin}: {_shown(document)} is no table of fields")
+    return document
 
 
 def read_as(path: Path, kind: type[_T]) -> _T:
     """Read a TOML file as a dataclass; ConfigError names the file, the field and the value."""
-    return validate(read_toml(path), kind, str(path))
+    return validate(read(path), kind, str(path))
 
 
 def validate(document: Mapping[str, Any], kind: type[_T], origin: str) -> _T:
     """Return a dataclass of nested dictionaries; ConfigError names `origin`, field and value."""
     try:
-        return TypeAdapter(kind).validate_python(document)
+        checked: _T = _adapter(kind).validate_python(document)
     except ValidationError as error:
-        lines = (_line(problem) for problem in error.errors())
-        raise ConfigError("\n".join(f"{origin}: {line}" for line in lines)) from None
+        lines = (_line(problem, kind, origin) for problem in error.errors())
+        raise ConfigError("\n".join(lines)) from None
+    return checked
 
 
-def _line(problem: Any) -> str:
-    field = ".".join(str(part) for part in problem["loc"])
+# To build one takes longer than to read most files.
+@functools.cache
+def _adapter(kind: type[Any]) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)
+
+
+def _line(problem: Any, kind: type[Any], origin: str) -> str:
+    """Render one problem of pydantic's: `origin: field = value: what to do`."""
+    location = problem["loc"]
+    field = ".".join(str(part) for part in location)
+    where = f"{origin}: {field}" if field else origin
     if problem["type"] == "unexpected_keyword_argument":
-        return f"{field}: no such field; remove it or correct its name"
+        known = ", ".join(fields_at(kind, location[:-1]))
+        return f"{where}: no such field; known are {known}"
     if problem["type"] == "missing":
-        return f"{field} is missing; add it"
-    return f"{field} = {problem['input']!r}: {problem['msg']}"
+        return f"{where}: is missing; give it"
+    if problem["type"] == "value_error":
+        return f"{where}: {problem['ctx']['error']}"
+    value = f"{where} = {_shown(problem['input'])}"
+    if problem["type"] == "dataclass_type" and field:
+        return f"{value}: write a table, [{field}]"
+    return f"{value}: {problem['msg']}"
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."
 
 
 def write(path: Path, document: Mapping[str, Any], heading: str = "") -> None:

@@ -27,9 +27,9 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from ahrs_service.app.files import toml_file
-from ahrs_service.app.files.config_file import ConfigError
 from ahrs_service.effects.base import Effect, Values
 from ahrs_service.effects.catalogue import effect_of
+from ahrs_service.errors import ConfigError
 from ahrs_service.sensor.noise import TriadNoise
 from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.simulation.environment import Propeller
@@ -69,7 +69,7 @@ def read(path: Path) -> Imu:
 def _effect(table: dict[str, Any], origin: str) -> tuple[Effect, Values]:
     identifier = table.get("id")
     if not isinstance(identifier, str):
-        raise ConfigError(f"{origin}.id is missing; give an effect of the catalogue")
+        raise ConfigError(f"{origin}.id: is missing; give an effect of the catalogue")
     try:
         effect = effect_of(identifier)
         values = effect.checked({k: v for k, v in table.items() if k not in _KEYS})

@@ -5,12 +5,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from ahrs_service.app.files.config_file import ConfigError
+from ahrs_service.errors import ConfigError, ViewerError
 from ahrs_service.fusion.gating import in_force
 from ahrs_service.records import Rows
 from ahrs_service.rotation import from_euler
 from ahrs_service.settings import Settings
-from ahrs_service.viz.live import LiveViewer, ViewerError
+from ahrs_service.viz.live import LiveViewer
 
 _IMU_TEMPERATURE: Final = {
     "SCALED_IMU": "IMU 1",

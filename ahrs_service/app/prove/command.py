@@ -27,7 +27,6 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ahrs_service.app.files.config_file import ConfigError
 from ahrs_service.app.options import new_file, whole
 from ahrs_service.app.prove.blind_files import (
     TRUTH_SUFFIX,
@@ -46,6 +45,7 @@ from ahrs_service.blind.held_out_score import gain_share
 from ahrs_service.blind.oracle import oracle_report
 from ahrs_service.blind.plan import controls, plan
 from ahrs_service.blind.scoring import Mark, judge, score
+from ahrs_service.errors import ConfigError
 from ahrs_service.links.errors import RecordingError
 
 EXIT_DONE: Final = 0

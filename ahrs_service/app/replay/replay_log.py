@@ -11,7 +11,8 @@ import numpy as np
 from ahrs_service.app.files import calibration_file, config_file
 from ahrs_service.app.files.calibration_choice import NONE, CalibrationShelf
 from ahrs_service.app.replay.summary import Summary, summarise
-from ahrs_service.estimator import Estimator, StateError
+from ahrs_service.errors import ConfigError, StateError
+from ahrs_service.estimator import Estimator
 from ahrs_service.links.errors import RecordingError
 from ahrs_service.links.logs.recording import Recording
 from ahrs_service.links.logs.recording_formats import read_recording
@@ -173,7 +174,7 @@ class _Replay:
             return
         try:
             self.settings = config_file.from_json(mark.data, str(self._recording.path))
-        except config_file.ConfigError as error:
+        except ConfigError as error:
             raise RecordingError(
                 f"the settings recorded cannot be used here ({error}); give --config"
             ) from None
@@ -185,7 +186,7 @@ class _Replay:
         origin = str(self._recording.path)
         try:
             calibration = calibration_file.from_json(zlib.decompress(data), origin)
-        except (config_file.ConfigError, zlib.error) as error:
+        except (ConfigError, zlib.error) as error:
             raise RecordingError(
                 f"the calibration recorded cannot be used here ({error}); "
                 "give --calibration FILE, or none"

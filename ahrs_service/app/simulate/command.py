@@ -20,9 +20,9 @@ from rich.console import Console
 from rich.markup import escape
 
 from ahrs_service.app.files import toml_file, twin_file
-from ahrs_service.app.files.config_file import ConfigError
 from ahrs_service.app.options import not_negative, positive
 from ahrs_service.app.simulate.retrace_recording import flight_along
+from ahrs_service.errors import ConfigError
 from ahrs_service.links.errors import LinkError
 from ahrs_service.links.logs.tlog import tlog_record
 from ahrs_service.links.mavlink.codec import Decoder
