@@ -5,12 +5,14 @@ difference to a single byte of the estimates.
 """
 
 import hashlib
+import math
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
 from ahrs_service import intake, pipeline
-from ahrs_service.errors import StateError
+from ahrs_service.errors import InvalidValueError, StateError
 from ahrs_service.fusion import alignment
 from ahrs_service.fusion.ground_velocity import HISTORY
 from ahrs_service.fusion.states import AIDED, GATED, UNAIDED
@@ -18,6 +20,7 @@ from ahrs_service.records import (
     ESTIMATE_DTYPE,
     READING_DTYPE,
     SAMPLE_DTYPE,
+    Floats,
     ImuSource,
     Integers,
     Kind,
@@ -36,20 +39,42 @@ _STATE_MARK: Final = hashlib.sha256(
 ).digest()[:8]
 _STATES: Final = (0, GATED, UNAIDED, AIDED)
 """How many error states are in use: none before the first sample."""
+_LONGEST_S: Final = 9e9
+"""Times in ns are int64: 292 years, and then some margin [s]."""
 
 
 class Estimator:
-    """The whole estimator, from readings to estimates.
+    """The whole estimator, from readings or samples to estimates.
 
-    `digest` is the SHA-256 over the bytes of every estimate so far: equal digests of a live
-    session and of its replay mean equal estimates, bit for bit. A `smoother` given listens and
-    can smooth all estimates in the end; it changes none of them before. `calibration` is that in
-    use.
+    `take` is fed with readings of a link or a log, `run` with samples of one sensor as records,
+    `update` with one sample as plain numbers. `digest` is the SHA-256 over the bytes of every
+    estimate so far: equal digests of a live session and of its replay mean equal estimates, bit
+    for bit. A `smoother` given listens and can smooth all estimates in the end; it changes none of
+    them before. `calibration` is that in use.
+
+    A live loop, here of a sensor that lies still; without `settings` the defaults hold:
+
+    >>> from ahrs_service import Estimator
+    >>> estimator = Estimator()
+    >>> for n in range(200):
+    ...     estimate = estimator.update(0.01 * n, gyr=(0.0, 0.0, 0.0), acc=(0.0, 0.0, -9.81))
+    >>> estimate["ned_from_body"].round(3)
+    array([1., 0., 0., 0.])
+
+    A link or a log, in pieces of any size:
+
+    >>> from ahrs_service import read_recording
+    >>> readings = read_recording("flight.tlog").readings
+    >>> estimator, count = Estimator(), 0
+    >>> for first in range(0, len(readings), 100):
+    ...     count += len(estimator.take(readings[first : first + 100]))
+    >>> count > 100
+    True
     """
 
     def __init__(
         self,
-        settings: Settings,
+        settings: Settings | None = None,
         calibration: Calibration | None = None,
         smoother: Smoother | None = None,
     ) -> None:
@@ -61,7 +86,7 @@ class Estimator:
         self._pipeline_state = pipeline.new_state()
         self.digest = hashlib.sha256()
         self._reserve(1)
-        self.configure(settings)
+        self.configure(settings or Settings())
 
     def configure(self, settings: Settings) -> None:
         """Take new settings from the next sample on."""
@@ -102,16 +127,68 @@ class Estimator:
         estimates = self._estimates[:count]
         self._count = count
         if count:
-            self._batch(
-                self._pipeline_parameters,
-                self._coefficients,
-                self._pipeline_state,
-                self._samples[:count],
-                estimates,
-            )
-            # The buffer of a structured array describes every field anew at each use.
-            self.digest.update(estimates.view(np.uint8).data)
+            self._fill(self._samples[:count], estimates)
         return estimates
+
+    def run(self, samples: Rows) -> Rows:
+        """Take `samples` [N] SAMPLE_DTYPE of one sensor in order; return their estimates [N].
+
+        The result is the caller's. Which samples come in which call changes no byte.
+
+        >>> from ahrs_service import Estimator
+        >>> from ahrs_service.records import SAMPLE_DTYPE, empty
+        >>> samples = empty(SAMPLE_DTYPE, 300)
+        >>> samples["time_ns"] = samples["received_ns"] = range(0, 300 * 10**7, 10**7)
+        >>> samples["gyro_rad_s"] = 0.0
+        >>> samples["accel_m_s2"] = (0.0, 0.0, -9.81)
+        >>> Estimator().run(samples)["attitude_sigma_rad"].shape
+        (300, 3)
+        """
+        estimates = empty(ESTIMATE_DTYPE, len(samples))
+        if len(samples):
+            self._fill(samples, estimates)
+        return estimates
+
+    def update(
+        self,
+        t: float,
+        gyr: Sequence[float] | Floats,
+        acc: Sequence[float] | Floats,
+        mag: Sequence[float] | Floats | None = None,
+        *,
+        airspeed: float = math.nan,
+        velocity_ned: Sequence[float] | Floats | None = None,
+        temperature_degc: float = math.nan,
+    ) -> Record:
+        """Take one sample of a sensor; return its estimate, a row of ESTIMATE_DTYPE.
+
+        `t` [s] on a clock that runs on; `gyr` [3] rad/s, `acc` [3] m/s^2 (specific force), `mag`
+        [3] uT, all forward, right, down; `airspeed` m/s, `velocity_ned` [3] m/s and the sensor's
+        `temperature_degc`, where there are new ones.
+        """
+        if not 0.0 <= t <= _LONGEST_S:
+            raise InvalidValueError(f"t = {t}: give seconds from 0 to {_LONGEST_S:g}")
+        sample = empty(SAMPLE_DTYPE)
+        sample["time_ns"] = sample["received_ns"] = round(t * 1e9)
+        sample["source"] = ImuSource.HIGHRES_IMU
+        sample["airspeed_m_s"], sample["temperature_degc"] = airspeed, temperature_degc
+        for name, field, vector in (
+            ("gyr", "gyro_rad_s", gyr),
+            ("acc", "accel_m_s2", acc),
+            ("mag", "mag_ut", mag),
+            ("velocity_ned", "velocity_ned_m_s", velocity_ned),
+        ):
+            if vector is not None:
+                sample[field] = _vector(name, vector)
+        return self.run(sample)[0]
+
+    def _fill(self, samples: Rows, estimates: Rows) -> None:
+        """Estimate `samples` [N > 0] into `estimates` [N]."""
+        self._batch(
+            self._pipeline_parameters, self._coefficients, self._pipeline_state, samples, estimates
+        )
+        # The buffer of a structured array describes every field anew at each use.
+        self.digest.update(estimates.view(np.uint8).data)
 
     @property
     def positions(self) -> Integers:
@@ -149,6 +226,13 @@ class Estimator:
             self._smoother.cut()
 
 
+def _vector(name: str, value: Sequence[float] | Floats) -> Floats:
+    vector = np.asarray(value, np.float64)
+    if vector.shape != (3,):
+        raise InvalidValueError(f"{name} has shape {vector.shape}; give x, y and z")
+    return vector
+
+
 def _check(intake_state: Record, pipeline_state: Record) -> None:
     """Raise StateError for values by which the kernels index and count without a check.
 
@@ -164,6 +248,15 @@ def _check(intake_state: Record, pipeline_state: Record) -> None:
             f"{states} error states, place {place} in the history, turn of {turn_s} s); "
             "start from the beginning of the recording instead"
         )
+
+
+def smooth(settings: Settings, calibration: Calibration, samples: Rows) -> tuple[Rows, Rows]:
+    """Return the estimates of `samples` [N], causal and smoothed, each [N] ESTIMATE_DTYPE."""
+    both = Smoother()
+    causal = Estimator(settings, calibration, both).run(samples)
+    smoothed = causal.copy()
+    both.smooth(smoothed)
+    return causal, smoothed
 
 
 def compile_kernels(settings: Settings) -> None:

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from ahrs_service.errors import InvalidValueError
 from ahrs_service.kernel import kernel
 from ahrs_service.records import (
     IMU_OF_SOURCE,
@@ -119,7 +120,7 @@ def parameters(settings: IntakeSettings) -> Rows:
     if settings.imu_source != "auto":
         names = [source.name for source in ImuSource if source]
         if settings.imu_source.upper() not in names:
-            raise ValueError(
+            raise InvalidValueError(
                 f"intake.imu_source = {settings.imu_source!r}: choose auto or one of "
                 + ", ".join(names)
             )

@@ -8,6 +8,8 @@ from typing import Annotated, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le
 
+from ahrs_service.errors import InvalidValueError
+
 _STRICT = {"extra": "forbid", "allow_inf_nan": False}
 _Positive = Annotated[float, Gt(0.0)]
 _NotNegative = Annotated[float, Ge(0.0)]
@@ -93,16 +95,16 @@ class GateBudget:
     def __post_init__(self) -> None:
         """Raise ValueError for a budget from which no limit follows."""
         if self.acceleration_m_s2 is not None and self.tilt_deg is not None:
-            raise ValueError(
+            raise InvalidValueError(
                 f"acceleration_m_s2 = {self.acceleration_m_s2} and tilt_deg = {self.tilt_deg} are "
                 "two budgets of one limit: give one of them"
             )
         if self.centripetal_m_s2 is not None and not (self.turn_radius_m or any(self.arm_m)):
-            raise ValueError(
+            raise InvalidValueError(
                 f"centripetal_m_s2 = {self.centripetal_m_s2} needs turn_radius_m or arm_m [m]"
             )
         if self.tangential_m_s2 is not None and not (self.arm_m[0] or self.arm_m[2]):
-            raise ValueError(
+            raise InvalidValueError(
                 f"tangential_m_s2 = {self.tangential_m_s2} needs arm_m [m] along x or z, "
                 f"not {self.arm_m}"
             )

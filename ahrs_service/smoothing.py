@@ -10,12 +10,10 @@ from typing import Final
 import numpy as np
 
 from ahrs_service import pipeline
+from ahrs_service.errors import InvalidValueError
 from ahrs_service.fusion import smoother, smoother_history
 from ahrs_service.kernel import kernel
-from ahrs_service.records import ESTIMATE_DTYPE, Rows, empty
-from ahrs_service.sensor.parameters import Calibration, coefficients
-from ahrs_service.sensor.prior import narrow
-from ahrs_service.settings import Settings
+from ahrs_service.records import Rows
 
 _MIN_NODES: Final = 1024
 
@@ -84,19 +82,8 @@ class Smoother:
         and the flags stay. Before the first attitude nothing changes.
         """
         if len(estimates) != self._samples:
-            raise ValueError(
+            raise InvalidValueError(
                 f"{len(estimates)} estimates cannot be smoothed by the nodes of {self._samples}; "
                 "give all of them, in order"
             )
         smoother.smooth(self._nodes, self._used, estimates)
-
-
-def smooth(settings: Settings, calibration: Calibration, samples: Rows) -> tuple[Rows, Rows]:
-    """Return the estimates of `samples` [N], causal and smoothed, each [N] ESTIMATE_DTYPE."""
-    both = Smoother()
-    causal = empty(ESTIMATE_DTYPE, len(samples))
-    parameters, state = narrow(pipeline.parameters(settings), calibration), pipeline.new_state()
-    both.batch(parameters, coefficients(calibration), state, samples, causal)
-    smoothed = causal.copy()
-    both.smooth(smoothed)
-    return causal, smoothed

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ahrs_service import pipeline
-from ahrs_service.app.estimate.command import estimate_columns
+from ahrs_service.app.estimate.arrays import estimate_columns
 from ahrs_service.app.estimate.sample_columns import Columns
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.estimator import Estimator
 from ahrs_service.fusion.states import GYRO_MATRIX
 from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, Airframe, Phase, empty
 from ahrs_service.rotation import (
@@ -19,7 +19,6 @@ from ahrs_service.rotation import (
     quaternion_columns,
     rotate_columns,
 )
-from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.settings import FusionSettings, Settings
 from ahrs_service.simulation.samples import samples_of
 from ahrs_service.simulation.scenario import make_flight
@@ -32,12 +31,9 @@ modes = pytest.mark.parametrize("mode", ["velocity", "gated"])
 def run(samples, mode="velocity", airframe="hand_held", yaw=0.0, **fusion):
     """Estimates [N], and the state after the last."""
     chosen = Settings(fusion=FusionSettings(mode=mode, airframe=airframe, **fusion))
-    state, estimates = pipeline.new_state(), empty(ESTIMATE_DTYPE, len(samples))
-    state["ned_from_body"] = quaternion_columns([[0.0, 0.0, yaw]])
-    pipeline.batch(
-        pipeline.parameters(chosen), coefficients(Calibration.ideal()), state, samples, estimates
-    )
-    return estimates, state
+    estimator = Estimator(chosen)
+    estimator.state["ned_from_body"] = quaternion_columns([[0.0, 0.0, yaw]])
+    return estimator.run(samples), estimator.state
 
 
 def angles_deg(p, q):

@@ -5,10 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from ahrs_service import pipeline
-from ahrs_service.records import ESTIMATE_DTYPE, Phase, empty
+from ahrs_service.estimator import Estimator
+from ahrs_service.records import Phase
 from ahrs_service.rotation import inverse_columns, multiply_columns
-from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.settings import FusionSettings, Settings
 
 RATE_HZ = 1000
@@ -44,11 +43,10 @@ def tilts_deg(p, q):
 def flown(samples, mode, airframe):
     """Yield the state and the estimates of each lap, and the lap's number."""
     chosen = Settings(fusion=FusionSettings(mode=mode, airframe=airframe))
-    parameters, ideal = pipeline.parameters(chosen), coefficients(Calibration.ideal())
-    state, estimates = pipeline.new_state(), empty(ESTIMATE_DTYPE, len(samples))
+    estimator = Estimator(chosen)
     for number in range(LAPS):
-        pipeline.batch(parameters, ideal, state, samples, estimates)
-        yield number, state, estimates
+        estimates = estimator.run(samples)
+        yield number, estimator.state, estimates
         samples["time_ns"] += LAP_S * 10**9
         samples["received_ns"] += LAP_S * 10**9
 

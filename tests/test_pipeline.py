@@ -5,16 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from ahrs_service import pipeline
-from ahrs_service.records import ESTIMATE_DTYPE, Flag, Gate, Phase, empty
+from ahrs_service.estimator import Estimator
+from ahrs_service.records import Flag, Gate, Phase
 from ahrs_service.rotation import (
     euler_columns,
     inverse_columns,
     quaternion_columns,
     rotate_columns,
 )
-from ahrs_service.sensor.parameters import Calibration, coefficients
-from ahrs_service.settings import Settings
 from tests.streams import run, still
 
 
@@ -96,14 +94,7 @@ def test_heading_follows_the_magnetic_field_and_ignores_a_disturbed_one():
 def test_a_vehicle_that_stands_is_at_rest_within_three_seconds():
     """One second aligns, two averages forget the doubt of the start, the last confirms."""
     samples = still(300)
-    state = pipeline.new_state()
-    estimates = empty(ESTIMATE_DTYPE, len(samples))
-    pipeline.batch(
-        pipeline.parameters(Settings()),
-        coefficients(Calibration.ideal()),
-        state,
-        samples,
-        estimates,
-    )
-    assert state["at_rest"][0] == 1
+    estimator = Estimator()
+    estimates = estimator.run(samples)
+    assert estimator.state["at_rest"][0] == 1
     assert np.degrees(estimates["attitude_sigma_rad"][-1, :2]).max() < 1.0

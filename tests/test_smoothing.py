@@ -6,10 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from ahrs_service import pipeline
-from ahrs_service.estimator import Estimator
+from ahrs_service.estimator import Estimator, smooth
 from ahrs_service.records import (
-    ESTIMATE_DTYPE,
     READING_DTYPE,
     SAMPLE_DTYPE,
     Airframe,
@@ -20,12 +18,12 @@ from ahrs_service.records import (
     empty,
 )
 from ahrs_service.rotation import euler_columns, inverse_columns, multiply_columns
-from ahrs_service.sensor.parameters import Calibration, coefficients
+from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.settings import FusionSettings, Settings
 from ahrs_service.simulation.environment import FIELD_NED_UT
 from ahrs_service.simulation.samples import samples_of
 from ahrs_service.simulation.scenario import make_flight
-from ahrs_service.smoothing import Smoother, smooth
+from ahrs_service.smoothing import Smoother
 
 IDEAL = Calibration.ideal()
 SETTINGS = Settings(
@@ -94,9 +92,7 @@ def test_smoothed_is_closer_to_the_truth_and_knows_how_close(flights):
 def test_the_causal_estimates_are_the_same_bytes(flights):
     _, samples = flights[0]
     causal, smoothed = smooth(SETTINGS, IDEAL, samples)
-    plain = empty(ESTIMATE_DTYPE, len(samples))
-    parameters, ideal = pipeline.parameters(SETTINGS), coefficients(IDEAL)
-    pipeline.batch(parameters, ideal, pipeline.new_state(), samples, plain)
+    plain = Estimator(SETTINGS, IDEAL).run(samples)
     assert causal.tobytes() == plain.tobytes()
     for name in ("time_ns", "gate", "flags", "phase", "innovation_rad", "temperature_degc"):
         np.testing.assert_array_equal(smoothed[name], causal[name])
@@ -106,12 +102,10 @@ def test_the_causal_estimates_are_the_same_bytes(flights):
 def test_in_pieces_it_smooths_to_the_same_bytes(flights):
     _, samples = flights[0]
     _, whole = smooth(SETTINGS, IDEAL, samples)
-    smoother, state = Smoother(), pipeline.new_state()
-    estimates = empty(ESTIMATE_DTYPE, len(samples))
-    for a, b in itertools.pairwise([0, 1, 2, 500, 503, 4000, len(samples)]):
-        smoother.batch(
-            pipeline.parameters(SETTINGS), coefficients(IDEAL), state, samples[a:b], estimates[a:b]
-        )
+    smoother = Smoother()
+    estimator = Estimator(SETTINGS, IDEAL, smoother)
+    edges = itertools.pairwise([0, 1, 2, 500, 503, 4000, len(samples)])
+    estimates = np.concatenate([estimator.run(samples[a:b]) for a, b in edges])
     smoother.smooth(estimates)
     assert estimates.tobytes() == whole.tobytes()
 
@@ -288,13 +282,6 @@ def test_an_estimator_with_a_smoother_has_the_same_digest_and_keeps_restored_sta
 
 def test_it_takes_all_estimates_or_none():
     smoother, samples = Smoother(), resting(1.0)
-    estimates = empty(ESTIMATE_DTYPE, len(samples))
-    smoother.batch(
-        pipeline.parameters(Settings()),
-        coefficients(IDEAL),
-        pipeline.new_state(),
-        samples,
-        estimates,
-    )
+    estimates = Estimator(smoother=smoother).run(samples)
     with pytest.raises(ValueError, match="99 estimates cannot be smoothed by the nodes of 100"):
         smoother.smooth(estimates[:-1])

@@ -33,6 +33,7 @@ from ahrs_service.diagnosis.result import (
 from ahrs_service.diagnosis.search.forward_search import Progress, Search, search
 from ahrs_service.diagnosis.search.locate import against_covariates, where_it_acts
 from ahrs_service.diagnosis.search.search_threshold import over_the_search
+from ahrs_service.errors import DiagnosisError
 from ahrs_service.records import Floats
 
 _AXIS_SIGMA: Final = 3.0
@@ -86,7 +87,7 @@ def _refuse_slow(recorded: Recorded) -> None:
     bends = np.diff(recorded.gyro_rad_s, 2, axis=0)
     wrong_deg = math.degrees(step_s / 12.0 * float(np.sqrt(np.mean(bends**2))))
     if wrong_deg > _MOST_WRONG_DEG:
-        raise ValueError(
+        raise DiagnosisError(
             f"the IMU comes at {1.0 / step_s:.3g} Hz, too slow for how the vehicle turns "
             f"({wrong_deg:.2g} deg lost between samples); record HIGHRES_IMU at 25 Hz or more"
         )

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Final
 import numpy as np
 import numpy.typing as npt
 
+from ahrs_service.errors import InvalidValueError
 from ahrs_service.records import Floats
 
 POWERS: Final = 4
@@ -42,24 +43,24 @@ class Curve:
         if not count and not breaks:
             return
         if len(breaks) != count + 1 or not count:
-            raise ValueError(
+            raise InvalidValueError(
                 f"breaks_degc has {len(breaks)} borders for {count} pieces: "
                 "give one border more than pieces"
             )
         if not all(math.isfinite(x) for x in breaks) or (np.diff(breaks) <= 0.0).any():
-            raise ValueError(
+            raise InvalidValueError(
                 f"breaks_degc = {breaks} does not rise: sort the borders, and the pieces with "
                 "them, and give each temperature once"
             )
         for i, piece in enumerate(self.pieces):
             widths = {len(column) for column in piece}
             if not piece or len(piece) != self.columns or not widths <= set(range(1, POWERS + 1)):
-                raise ValueError(
+                raise InvalidValueError(
                     f"pieces[{i}] = {piece}: give {max(self.columns, 1)} columns of 1 to {POWERS} "
                     "coefficients, as in the first piece"
                 )
             if not all(math.isfinite(x) for column in piece for x in column):
-                raise ValueError(f"pieces[{i}] = {piece}: give finite numbers")
+                raise InvalidValueError(f"pieces[{i}] = {piece}: give finite numbers")
 
     @classmethod
     def steps(cls, breaks_degc: npt.ArrayLike, values: npt.ArrayLike) -> "Curve":

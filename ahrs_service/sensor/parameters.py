@@ -31,6 +31,7 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
+from ahrs_service.errors import InvalidValueError
 from ahrs_service.records import IMU_OF_SOURCE, Floats, ImuSource, Rows
 from ahrs_service.sensor.curve import POWERS, Curve
 from ahrs_service.sensor.provenance import Provenance, Uncertainty, Verdict
@@ -105,7 +106,7 @@ class TriadCalibration:
         _array("bias", self.bias, (3,))
         _array("g_sensitivity", self.g_sensitivity, (3, 3))
         if not abs(self.thermal_lag_s) <= _LARGEST_LAG_S:
-            raise ValueError(
+            raise InvalidValueError(
                 f"thermal_lag_s = {self.thermal_lag_s}: give seconds between -{_LARGEST_LAG_S:.0f} "
                 f"and {_LARGEST_LAG_S:.0f}, negative where the thermometer lags the sensor"
             )
@@ -116,15 +117,15 @@ class TriadCalibration:
         for name, columns in _CURVES.items():
             curve = getattr(self, name)
             if curve.columns not in (0, columns):
-                raise ValueError(f"{name} has {curve.columns} columns: give it {columns}")
+                raise InvalidValueError(f"{name} has {curve.columns} columns: give it {columns}")
             if curve.pieces and curve.span_degc != self.span_degc:
-                raise ValueError(
+                raise InvalidValueError(
                     f"{name} spans {curve.span_degc} degC where another curve spans "
                     f"{self.span_degc}: give all curves of a triad the same first and last border"
                 )
         segments = len(self.breaks_degc()) - 1
         if segments > SEGMENTS:
-            raise ValueError(
+            raise InvalidValueError(
                 f"the curves have {segments} segments together: "
                 f"give at most {SEGMENTS}, by giving them common borders"
             )
@@ -134,12 +135,12 @@ class TriadCalibration:
         grid = _between(self.breaks_degc())
         condition = float(np.linalg.cond(self.matrix_at(grid)).max())
         if not condition < _LARGEST_CONDITION:
-            raise ValueError(
+            raise InvalidValueError(
                 f"matrix = {self.matrix} with its drift cannot be inverted (condition "
                 f"{condition:.3g}): put the scale factors, near 1, on its diagonal"
             )
         if self.b.pieces and self.b.at(grid).max() >= 1.0:
-            raise ValueError(
+            raise InvalidValueError(
                 f"b reaches {self.b.at(grid).max():.3g}, so the output would not follow the "
                 "input: b is a small relative drift of scale, 0.01 for 1 %"
             )
@@ -189,11 +190,11 @@ class Calibration:
     def __post_init__(self) -> None:
         """Raise ValueError for a g-sensitivity of the accelerometer, or an IMU that cannot be."""
         if self.accel.g_sensitivity != NIL:
-            raise ValueError(
+            raise InvalidValueError(
                 "accel.g_sensitivity: only gyros have one; the accelerometer's matrix is its own"
             )
         if self.imu not in (None, 0, 1, 2):
-            raise ValueError(f"imu = {self.imu}: give 0, 1 or 2, or leave it out for any")
+            raise InvalidValueError(f"imu = {self.imu}: give 0, 1 or 2, or leave it out for any")
 
     @classmethod
     def ideal(cls) -> "Calibration":
@@ -248,5 +249,5 @@ def _array(name: str, value: object, shape: tuple[int, ...]) -> Floats:
         array = np.full(1, np.nan)
     if array.shape != shape or not np.isfinite(array).all():
         size = " x ".join(str(extent) for extent in shape)
-        raise ValueError(f"{name} = {value}: give {size} finite numbers")
+        raise InvalidValueError(f"{name} = {value}: give {size} finite numbers")
     return array

@@ -10,6 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ahrs_service.errors import InvalidValueError
 from ahrs_service.sensor.curve import Curve
 
 _STRICT = {"extra": "forbid"}
@@ -32,7 +33,7 @@ class Verdict:
         """Raise ValueError for a figure that is no finite number."""
         for name, value in self.figures.items():
             if not math.isfinite(value):
-                raise ValueError(f"figures.{name} = {value}: leave out what is not known")
+                raise InvalidValueError(f"figures.{name} = {value}: leave out what is not known")
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +48,7 @@ class SourceRecording:
     def __post_init__(self) -> None:
         """Raise ValueError for what is no SHA-256."""
         if len(self.sha256) != 64 or set(self.sha256) - set("0123456789abcdef"):
-            raise ValueError(f"sha256 = {self.sha256!r}: give 64 lower-case hex digits")
+            raise InvalidValueError(f"sha256 = {self.sha256!r}: give 64 lower-case hex digits")
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +66,7 @@ class Provenance:
             try:
                 datetime.date.fromisoformat(self.date[:10])
             except ValueError:
-                raise ValueError(f"date = {self.date!r}: write it as 2024-05-31") from None
+                raise InvalidValueError(f"date = {self.date!r}: write it as 2024-05-31") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,21 +94,23 @@ class Uncertainty:
         for name in ("bias_residual", "bias_turn_on"):
             value = getattr(self, name)
             if value is not None and not all(0.0 <= x < math.inf for x in value):
-                raise ValueError(f"{name} = {value}: give 3 finite sigmas, none negative")
+                raise InvalidValueError(f"{name} = {value}: give 3 finite sigmas, none negative")
         for name in ("bias_sigma", "scale_sigma"):
             if getattr(self, name).columns not in (0, 3):
-                raise ValueError(f"{name} needs 3 columns: x, y, z")
+                raise InvalidValueError(f"{name} needs 3 columns: x, y, z")
         self._check_covariance()
 
     def _check_covariance(self) -> None:
         count = len(self.parameters)
         if len(self.covariance) != count or any(len(row) != count for row in self.covariance):
-            raise ValueError(
+            raise InvalidValueError(
                 f"covariance needs {count} x {count} numbers for the {count} parameters named"
             )
         matrix = np.array(self.covariance).reshape(count, count)
         if not np.isfinite(matrix).all() or (np.diag(matrix) < 0.0).any():
-            raise ValueError("covariance: give finite numbers, none negative on the diagonal")
+            raise InvalidValueError(
+                "covariance: give finite numbers, none negative on the diagonal"
+            )
 
     def standard_errors(self) -> dict[str, float]:
         """Return the standard error of each fitted parameter by its name."""

@@ -5,6 +5,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.effects.base import Columns, Effect, Values
+from ahrs_service.errors import InvalidValueError
 from ahrs_service.records import Floats, Rows
 
 POWER_ON_S: Final = 3.0
@@ -46,7 +47,7 @@ def needed(
     for effect, _ in effects:
         for name in effect.needs:
             if not columns.knows(name):
-                raise ValueError(
+                raise InvalidValueError(
                     f"{effect.id} needs {name}, which is not known here: "
                     "leave the effect out, or simulate a recording that has it"
                 )

@@ -23,6 +23,7 @@ import numpy as np
 from scipy.interpolate import BSpline, make_smoothing_spline
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.errors import InvalidValueError
 from ahrs_service.records import Floats, Rows
 from ahrs_service.rotation import inverse_columns, multiply_columns, rotate_columns
 from ahrs_service.simulation.trajectory import TRUTH_DTYPE
@@ -104,7 +105,7 @@ def smooth(time_s: Floats, values: Floats, name: str) -> BSpline:
     ValueError with `name` where the samples are too few.
     """
     if len(time_s) < LEAST_SAMPLES:
-        raise ValueError(
+        raise InvalidValueError(
             f"the reference has {len(time_s)} samples of {name}, {LEAST_SAMPLES} are needed: "
             "give a longer recording or one with more frequent references"
         )

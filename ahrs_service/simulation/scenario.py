@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from ahrs_service.errors import InvalidValueError
 from ahrs_service.records import Floats, Rows
 from ahrs_service.rotation import multiply_columns, quaternion_columns
 from ahrs_service.sensor.noise import gauss_markov
@@ -141,7 +142,7 @@ def make_flight(
     for the scenario's own. ValueError for a name, length or rate that cannot be.
     """
     if name not in SCENARIOS:
-        raise ValueError(f"scenario = {name!r}: choose one of {', '.join(SCENARIOS)}")
+        raise InvalidValueError(f"scenario = {name!r}: choose one of {', '.join(SCENARIOS)}")
     return fly_scenario(name, SCENARIOS[name], seconds, seed, rate_hz, imu)
 
 
@@ -155,9 +156,9 @@ def fly_scenario(
 ) -> Flight:
     """Return the flight of a scenario that may be the caller's own, see `make_flight`."""
     if not (0.0 < seconds < math.inf):
-        raise ValueError(f"seconds = {seconds:g}: give the length of the flight, such as 60")
+        raise InvalidValueError(f"seconds = {seconds:g}: give the length of the flight, such as 60")
     if not 1.0 <= rate_hz <= FASTEST_HZ:
-        raise ValueError(f"rate = {rate_hz:g} Hz: choose 1 to {FASTEST_HZ:g} Hz")
+        raise InvalidValueError(f"rate = {rate_hz:g} Hz: choose 1 to {FASTEST_HZ:g} Hz")
     imu = scenario.imu if imu is None else imu
     phases = scenario.phases(seconds)
     # One generator per part: a change in one does not shift the dice of the others.

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from ahrs_service.errors import InvalidValueError
 from ahrs_service.links.component.parameter_values import param_name
 from ahrs_service.links.mavlink.codec import dialect
 from ahrs_service.settings import Settings
@@ -51,9 +52,11 @@ def change(settings: Settings, name: str, value: float) -> Settings:
     """Return settings with one parameter changed; ValueError names it, the value and the bounds."""
     parameter = PARAMETERS.get(name)
     if parameter is None:
-        raise ValueError(f"no parameter {name!r}; known are {', '.join(_NAMES)}")
+        raise InvalidValueError(f"no parameter {name!r}; known are {', '.join(_NAMES)}")
     if not (math.isfinite(value) and parameter.low <= value <= parameter.high):
-        raise ValueError(f"{name} = {value:g} is not in {parameter.low:g}..{parameter.high:g}")
+        raise InvalidValueError(
+            f"{name} = {value:g} is not in {parameter.low:g}..{parameter.high:g}"
+        )
     section = dataclasses.replace(
         getattr(settings, parameter.section), **{parameter.key: float(value)}
     )

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from ahrs_service.errors import InvalidValueError
 from ahrs_service.links.logs.param_files import ParamValue
 from ahrs_service.links.mavlink.codec import Encoder, Signer, dialect
 from ahrs_service.links.simulated.autopilot_messages import BOOT_US, FlightMessages
@@ -101,12 +102,12 @@ class SimulatedAutopilot:
 
     def _checked(self, name: str, rate_hz: float) -> int:
         if name not in self._order:
-            raise ValueError(f"{name}: the simulated autopilot does not send it")
+            raise InvalidValueError(f"{name}: the simulated autopilot does not send it")
         if rate_hz == 0.0:
             return 0
         interval_ms = granted_interval_ms(int(1e6 / rate_hz), self._rate_hz)
         if interval_ms is None:
-            raise ValueError(
+            raise InvalidValueError(
                 f"{name} at {rate_hz:g} Hz: a loop of {self._rate_hz:g} Hz cannot send so often"
             )
         return interval_ms * 1000

@@ -21,13 +21,11 @@ from peers import SHARED_DATA, inclination, require_data
 from rich.console import Console
 from rich.table import Table
 
-from ahrs_service import pipeline
-from ahrs_service.app.estimate.command import estimate_columns
+from ahrs_service.app.estimate.arrays import estimate_columns
 from ahrs_service.app.estimate.sample_columns import read_columns
 from ahrs_service.app.files import config_file
 from ahrs_service.comparison import compare
-from ahrs_service.records import ESTIMATE_DTYPE, empty
-from ahrs_service.sensor.parameters import Calibration, coefficients
+from ahrs_service.estimator import Estimator
 from ahrs_service.settings import Settings
 
 FLIGHTS = (
@@ -83,14 +81,7 @@ def flight_error(flight: Any, settings: Settings) -> float:
     samples = flight.samples.copy()
     for field in ("mag_ut", "airspeed_m_s", "velocity_ned_m_s"):
         samples[field] = np.nan
-    estimates = empty(ESTIMATE_DTYPE, len(samples))
-    pipeline.batch(
-        pipeline.parameters(settings),
-        coefficients(Calibration.ideal()),
-        pipeline.new_state(),
-        samples,
-        estimates,
-    )
+    estimates = Estimator(settings).run(samples)
     reference = flight.reference
     one = compare(estimates, reference.time_ns, reference.ned_from_body, False)
     return float(np.degrees(one.roll.rms + one.pitch.rms))

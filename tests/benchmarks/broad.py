@@ -40,7 +40,7 @@ from peers import (
 from rich.console import Console
 from rich.table import Table
 
-from ahrs_service.app.estimate.command import estimate_columns
+from ahrs_service.app.estimate.arrays import estimate_columns
 from ahrs_service.app.estimate.sample_columns import read_columns
 from ahrs_service.app.files import config_file
 from ahrs_service.settings import Settings

@@ -25,9 +25,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ahrs_service import pipeline
+from ahrs_service.estimator import Estimator
 from ahrs_service.records import (
-    ESTIMATE_DTYPE,
     SAMPLE_DTYPE,
     Airframe,
     Floats,
@@ -37,8 +36,7 @@ from ahrs_service.records import (
 )
 from ahrs_service.rotation import euler_columns
 from ahrs_service.sensor.curve import Curve
-from ahrs_service.sensor.parameters import Calibration, coefficients
-from ahrs_service.sensor.prior import narrow
+from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.sensor.provenance import Uncertainty
 from ahrs_service.settings import Settings
 from ahrs_service.simulation.imu import consumer_grade
@@ -89,9 +87,7 @@ def _calibrations(true: Calibration) -> dict[str, Calibration]:
 
 def _judge(rows: Rows, samples: Rows, known: Calibration, bias: Floats) -> tuple[Floats, ...]:
     """Squares of tilt, heading drift, bias error, and bias error over its variance."""
-    estimates = empty(ESTIMATE_DTYPE, len(samples))
-    parameters = narrow(pipeline.parameters(Settings()), known)
-    pipeline.batch(parameters, coefficients(known), pipeline.new_state(), samples, estimates)
+    estimates = Estimator(Settings(), known).run(samples)
     settled = rows["time_s"] - rows["time_s"][0] > SETTLED_S
     error = euler_columns(estimates["ned_from_body"]) - euler_columns(rows["ned_from_body"])
     error = np.degrees(np.unwrap(error, axis=0))[settled]

@@ -44,9 +44,8 @@ from peers import SHARED_DATA, require_data
 from rich.console import Console
 from rich.table import Table
 
-from ahrs_service import pipeline
+from ahrs_service.estimator import Estimator
 from ahrs_service.records import ESTIMATE_DTYPE, Airframe, Floats, Phase, Rows, empty
-from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.settings import FusionSettings, Settings
 from ahrs_service.simulation.environment import FIELD_NED_UT
 from ahrs_service.simulation.phases import Phase as FlightPhase
@@ -122,13 +121,12 @@ def follow(
     phases: tuple[FlightPhase, ...] = (),
 ) -> Run:
     """Estimate, and keep error and covariance at every instant after the alignment."""
-    parameters, ideal = pipeline.parameters(settings), coefficients(Calibration.ideal())
-    state, estimates = pipeline.new_state(), empty(ESTIMATE_DTYPE, len(samples))
+    estimator, estimates = Estimator(settings), empty(ESTIMATE_DTYPE, len(samples))
     ends, covariance = range(INSTANT_SAMPLES, len(samples) + 1, INSTANT_SAMPLES), []
     for end in ends:
         part = slice(end - INSTANT_SAMPLES, end)
-        pipeline.batch(parameters, ideal, state, samples[part], estimates[part])
-        covariance.append(state["covariance"][0, :3, :3].copy())
+        estimates[part] = estimator.run(samples[part])
+        covariance.append(estimator.state["covariance"][0, :3, :3].copy())
     last = np.array(ends) - 1
     running = estimates["phase"][last] == Phase.RUNNING
     last = last[running]

@@ -35,21 +35,18 @@ from peers import PEERS, SHARED_DATA, attitude, flu_from_frd, frd_attitude, requ
 from rich.console import Console
 from rich.table import Table
 
-from ahrs_service import pipeline
-from ahrs_service.app.estimate.command import estimate_columns
+from ahrs_service.app.estimate.arrays import estimate_columns
 from ahrs_service.app.estimate.sample_columns import read_columns
 from ahrs_service.app.files import config_file
 from ahrs_service.comparison import Comparison, compare
+from ahrs_service.estimator import Estimator
 from ahrs_service.links.errors import RecordingError
 from ahrs_service.records import (
-    ESTIMATE_DTYPE,
     Airframe,
     Flag,
     Phase,
     Rows,
-    empty,
 )
-from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.settings import Settings
 
 OURS = ("ours", "ours gated", "ours aided")
@@ -65,15 +62,7 @@ def ours(samples: Rows, mode: str, aided: bool) -> Rows:
     if not aided:
         given["airspeed_m_s"] = given["velocity_ned_m_s"] = np.nan
     settings = config_file.load(None, [f"fusion.mode={mode}"], contract.profile_of(samples))
-    estimates = empty(ESTIMATE_DTYPE, len(given))
-    pipeline.batch(
-        pipeline.parameters(settings),
-        coefficients(Calibration.ideal()),
-        pipeline.new_state(),
-        given,
-        estimates,
-    )
-    return estimates
+    return Estimator(settings).run(given)
 
 
 def estimates_of(flight: Flight, names: list[str]) -> Iterator[tuple[str, Rows]]:

@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ahrs_service.app.estimate import recognition
-from ahrs_service.app.estimate.command import estimate_columns
+from ahrs_service.app.estimate.arrays import estimate_columns
 from ahrs_service.app.estimate.sample_columns import Columns, read_columns
 from ahrs_service.app.files import config_file
 from ahrs_service.comparison import compare

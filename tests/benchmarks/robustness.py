@@ -14,7 +14,6 @@ import argparse
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,13 +23,12 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from ahrs_service.app.estimate.command import estimate_columns
+from ahrs_service.app.estimate.arrays import estimate_columns
 from ahrs_service.app.estimate.sample_columns import columns_of
 from ahrs_service.app.files import config_file
 from ahrs_service.records import Floats, Rows
 from ahrs_service.simulation.environment import magnetic_field_ut
 
-SOURCE = Path("simulated")
 SECONDS = 120.0
 SCORED_FROM_S = 2.0
 IRON_UT = np.array([30.0, 0.0, 0.0])
@@ -322,9 +320,7 @@ def run_case(case: Case, seed: int) -> Outcome:
     scored = np.arange(len(row)) >= np.searchsorted(
         np.maximum.accumulate(fields["t"]), SCORED_FROM_S
     )
-    out = estimate_columns(
-        columns_of(SOURCE, fields), config_file.load(profile=case.kind), case.frame
-    )
+    out = estimate_columns(columns_of(fields), config_file.load(profile=case.kind), case.frame)
     quat = out["quat9" if case.magnetometer else "quat"]
     quat = quat if case.frame == "flu" else frd_attitude(quat)
     error = np.degrees(inclination(quat, reference))[scored]

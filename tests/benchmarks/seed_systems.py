@@ -32,14 +32,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ahrs_service import pipeline
 from ahrs_service.app.files import config_file
 from ahrs_service.comparison import Comparison, compare
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.estimator import Estimator
 from ahrs_service.fusion import gating
-from ahrs_service.records import ESTIMATE_DTYPE, Airframe, Phase, Rows, empty
+from ahrs_service.records import Airframe, Phase, Rows
 from ahrs_service.rotation import euler_columns, inverse_columns, multiply_columns, rotate_columns
-from ahrs_service.sensor.parameters import Calibration, coefficients
+from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.settings import FusionSettings, GateBudget, Settings
 from ahrs_service.simulation.phases import CRUISE_M_S
 from ahrs_service.simulation.rate_table import Swing
@@ -86,10 +86,7 @@ class FlightError:
 def estimate(flight: Flight, airframe: Airframe, settings: Settings, known: Calibration) -> Rows:
     """Estimates [N] on six axes of a sensor whose calibration is `known`."""
     samples = samples_of(flight, airframe)
-    estimates = empty(ESTIMATE_DTYPE, len(samples))
-    parameters, row = pipeline.parameters(settings), coefficients(known)
-    pipeline.batch(parameters, row, pipeline.new_state(), samples, estimates)
-    return estimates
+    return Estimator(settings, known).run(samples)
 
 
 def largest_errors(flight: Flight, estimates: Rows, late_s: float) -> tuple[float, float]:

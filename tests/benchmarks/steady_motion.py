@@ -22,12 +22,11 @@ from peers import SHARED_DATA, require_data
 from rich.console import Console
 from rich.table import Table
 
-from ahrs_service import pipeline
 from ahrs_service.app.estimate.sample_columns import read_columns
 from ahrs_service.app.files import config_file
-from ahrs_service.records import ESTIMATE_DTYPE, Phase, Rows, empty
+from ahrs_service.estimator import Estimator
+from ahrs_service.records import Phase, Rows
 from ahrs_service.rotation import euler_columns
-from ahrs_service.sensor.parameters import Calibration, coefficients
 
 FLOWN = ("x8 aerobatics", "thor75", "plane erle", "sitl")
 HOVERED = ("quad106", "copter pixhawk", "copter erle", "fmuv6c")
@@ -70,10 +69,7 @@ def turned(path: Path) -> tuple[Any, Rows]:
     """Which samples [N] of a BROAD trial are in movement, and the estimates [N]."""
     columns = read_columns(path)
     samples = columns.samples(0, len(columns.time_ns), "flu", magnetometer=False)
-    estimates = empty(ESTIMATE_DTYPE, len(samples))
-    parameters = pipeline.parameters(config_file.load(profile=PROFILE))
-    ideal = coefficients(Calibration.ideal())
-    pipeline.batch(parameters, ideal, pipeline.new_state(), samples, estimates)
+    estimates = Estimator(config_file.load(profile=PROFILE)).run(samples)
     with np.load(path) as file:
         return file["movement"] & (estimates["phase"] == Phase.RUNNING), estimates
 

@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 
-from ahrs_service import pipeline
+from ahrs_service.estimator import Estimator
 from ahrs_service.fusion import ground_velocity, heading, states
-from ahrs_service.records import ESTIMATE_DTYPE, Airframe, Flag, empty
+from ahrs_service.records import Airframe, Flag
 from ahrs_service.rotation import inverse_columns, multiply_columns
-from ahrs_service.sensor.parameters import Calibration, coefficients
-from ahrs_service.settings import Settings
 from ahrs_service.simulation.samples import samples_of
 from ahrs_service.simulation.scenario import make_flight
 
@@ -43,10 +41,8 @@ def noisy(samples, seed):
 
 
 def run(samples):
-    state, estimates = pipeline.new_state(), empty(ESTIMATE_DTYPE, len(samples))
-    ideal = coefficients(Calibration.ideal())
-    pipeline.batch(pipeline.parameters(Settings()), ideal, state, samples, estimates)
-    return estimates, state[0]
+    estimator = Estimator()
+    return estimator.run(samples), estimator.state[0]
 
 
 def errors_deg(estimates, truth):

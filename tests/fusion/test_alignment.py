@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 
-from ahrs_service import pipeline
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, Airframe, Phase, empty
+from ahrs_service.estimator import Estimator
+from ahrs_service.records import SAMPLE_DTYPE, Airframe, Phase, empty
 from ahrs_service.rotation import euler_columns
-from ahrs_service.sensor.parameters import Calibration, coefficients
-from ahrs_service.settings import Settings
 
 RATE_HZ = 50.0
 
@@ -30,10 +28,7 @@ def turned_steadily(bank_deg, speed_m_s, shake=0.0, seconds=20.0, force_scale=1.
     samples["accel_m_s2"] += rng.normal(0.0, 0.25 * shake, (len(samples), 3))
     samples["accel_m_s2"] *= force_scale
     samples["airframe"] = Airframe.FIXED_WING
-    estimates = empty(ESTIMATE_DTYPE, len(samples))
-    ideal = coefficients(Calibration.ideal())
-    pipeline.batch(pipeline.parameters(Settings()), ideal, pipeline.new_state(), samples, estimates)
-    return estimates
+    return Estimator().run(samples)
 
 
 @pytest.mark.parametrize("bank_deg", [-60.0, -30.0, 20.0, 45.0])
@@ -76,8 +71,6 @@ def test_a_wing_turned_by_hand_is_not_begun_in_flight(turn_rad_s):
     samples["gyro_rad_s"][:, 2] = np.where(time_s < 2.0, turn_rad_s, 0.0)
     samples["accel_m_s2"] = [0.0, 0.0, -STANDARD_GRAVITY_M_S2]
     samples["airframe"] = Airframe.FIXED_WING
-    estimates = empty(ESTIMATE_DTYPE, len(samples))
-    ideal = coefficients(Calibration.ideal())
-    pipeline.batch(pipeline.parameters(Settings()), ideal, pipeline.new_state(), samples, estimates)
+    estimates = Estimator().run(samples)
     errors = np.degrees(euler_columns(estimates["ned_from_body"])[:, :2])
     assert np.abs(errors).max() < 3.0

@@ -3,15 +3,12 @@
 import numpy as np
 import pytest
 
-from ahrs_service import pipeline
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, Airframe, empty
+from ahrs_service.estimator import Estimator
+from ahrs_service.records import SAMPLE_DTYPE, Airframe, empty
 from ahrs_service.rotation import euler_columns
-from ahrs_service.sensor.parameters import Calibration, coefficients
-from ahrs_service.settings import Settings
 
 RATE_HZ = 50
-IDEAL = coefficients(Calibration.ideal())
 
 
 def lying(seconds, scale, airframe, roll=-0.24):
@@ -28,9 +25,8 @@ def lying(seconds, scale, airframe, roll=-0.24):
 
 
 def run(samples):
-    state, estimates = pipeline.new_state(), empty(ESTIMATE_DTYPE, len(samples))
-    pipeline.batch(pipeline.parameters(Settings()), IDEAL, state, samples, estimates)
-    return estimates, state[0]
+    estimator = Estimator()
+    return estimator.run(samples), estimator.state[0]
 
 
 @pytest.mark.parametrize("airframe", [Airframe.FIXED_WING, Airframe.MULTIROTOR])

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ahrs_service import pipeline
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2 as G
+from ahrs_service.estimator import Estimator
 from ahrs_service.fusion import heading
-from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, Phase, empty
+from ahrs_service.records import SAMPLE_DTYPE, Phase, empty
 from ahrs_service.rotation import (
     euler_columns,
     inverse_columns,
@@ -16,12 +16,10 @@ from ahrs_service.rotation import (
     quaternion_columns,
     rotate_columns,
 )
-from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.settings import Settings
 
 RATE_HZ = 100.0
 FIELD_NED = np.array([16.0, 0.0, 42.0])
-IDEAL = coefficients(Calibration.ideal())
 
 
 def settings(**fusion):
@@ -90,12 +88,10 @@ def in_body(attitude, vector):
     return rotate_columns(inverse_columns(attitude), np.broadcast_to(vector, (len(attitude), 3)))
 
 
-def run(samples, state=None, **fusion):
+def run(samples, **fusion):
     """Estimates and the state after the last sample."""
-    estimates = empty(ESTIMATE_DTYPE, len(samples))
-    state = pipeline.new_state() if state is None else state
-    pipeline.batch(pipeline.parameters(settings(**fusion)), IDEAL, state, samples, estimates)
-    return estimates, state
+    estimator = Estimator(settings(**fusion))
+    return estimator.run(samples), estimator.state
 
 
 def heading_error(estimates, attitude):
@@ -310,10 +306,11 @@ def test_a_field_straight_down_leaves_numbers():
 )
 def test_damaged_state_begins_anew(field):
     samples, attitude = tumble(20.0)
-    _, state = run(samples[: at(10.0)])
-    state[field] = np.nan
-    estimates, state = run(samples[at(10.0) :], state)
-    assert state["heading_source"][0] == 1
+    estimator = Estimator(settings())
+    estimator.run(samples[: at(10.0)])
+    estimator.state[field] = np.nan
+    estimates = estimator.run(samples[at(10.0) :])
+    assert estimator.state["heading_source"][0] == 1
     assert abs(heading_error(estimates, attitude[at(10.0) :])[-1]) < np.radians(1.0)
 
 

@@ -3,16 +3,15 @@
 import numpy as np
 import pytest
 
-from ahrs_service import pipeline
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, Airframe, empty
+from ahrs_service.estimator import Estimator
+from ahrs_service.records import SAMPLE_DTYPE, Airframe, empty
 from ahrs_service.rotation import (
     inverse_columns,
     multiply_columns,
     quaternion_columns,
     rotate_columns,
 )
-from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.settings import FusionSettings, Settings
 from ahrs_service.simulation.scenario import make_flight
 
@@ -26,10 +25,7 @@ def fly(scenario, seconds, mode, airframe=Airframe.FIXED_WING, with_airspeed=Fal
     samples["airframe"] = airframe
     if with_airspeed:
         samples["airspeed_m_s"][::10] = rows["airspeed_m_s"][::10]
-    parameters = pipeline.parameters(Settings(fusion=FusionSettings(mode=mode)))
-    estimates = empty(ESTIMATE_DTYPE, len(rows))
-    ideal = coefficients(Calibration.ideal())
-    pipeline.batch(parameters, ideal, pipeline.new_state(), samples, estimates)
+    estimates = Estimator(Settings(fusion=FusionSettings(mode=mode))).run(samples)
     return rows["ned_from_body"], estimates
 
 
@@ -82,7 +78,5 @@ def test_tilted_by_hand_drag_is_doubted(airframe, angle_deg, frequency_hz):
     gravity = np.tile([0.0, 0.0, -STANDARD_GRAVITY_M_S2], (len(t), 1))
     samples["accel_m_s2"] = rotate_columns(inverse_columns(truth), gravity)
     samples["airframe"] = airframe
-    estimates = empty(ESTIMATE_DTYPE, len(t))
-    ideal = coefficients(Calibration.ideal())
-    pipeline.batch(pipeline.parameters(Settings()), ideal, pipeline.new_state(), samples, estimates)
+    estimates = Estimator().run(samples)
     assert tilt_errors_deg(truth, estimates).max() < 3.0

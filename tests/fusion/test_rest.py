@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from ahrs_service import pipeline
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, Airframe, empty
-from ahrs_service.sensor.parameters import Calibration, coefficients
-from ahrs_service.settings import Settings
+from ahrs_service.estimator import Estimator
+from ahrs_service.records import SAMPLE_DTYPE, Airframe, empty
 
 RATE_HZ = 100
 STANDING, ROLLING, BRAKING, STOPPED = slice(0, 600), slice(600, 1200), slice(1200, 1600), 1600
@@ -33,13 +31,12 @@ def rolled(along_m_s2, airframe):
 @pytest.mark.parametrize("along_m_s2", [1.5, 3.0])
 def test_a_smooth_braking_is_no_rest(along_m_s2, airframe):
     samples = rolled(along_m_s2, airframe)
-    parameters, ideal = pipeline.parameters(Settings()), coefficients(Calibration.ideal())
-    state, estimates = pipeline.new_state(), empty(ESTIMATE_DTYPE, len(samples))
-    pipeline.batch(parameters, ideal, state, samples[:STOPPED], estimates[:STOPPED])
+    estimator = Estimator()
+    estimates, state = estimator.run(samples[:STOPPED]), estimator.state
     assert state[0]["at_rest"] == 0
     _, x, y, _ = estimates["ned_from_body"][BRAKING].T
     # Taken for gravity, 1.5 m/s^2 are 8.7 deg.
     assert np.degrees(2.0 * np.hypot(x, y)).max() < 2.0
-    pipeline.batch(parameters, ideal, state, samples[STOPPED:], estimates[STOPPED:])
+    estimator.run(samples[STOPPED:])
     assert state[0]["at_rest"] == 1
     np.testing.assert_allclose(state[0]["velocity_ned_m_s"], 0.0, atol=0.2)

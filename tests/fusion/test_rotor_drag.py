@@ -3,18 +3,16 @@
 import numpy as np
 import pytest
 
-from ahrs_service import pipeline
 from ahrs_service.attitude_interpolation import rotation_vectors
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, Airframe, empty
+from ahrs_service.estimator import Estimator
+from ahrs_service.records import SAMPLE_DTYPE, Airframe, empty
 from ahrs_service.rotation import (
     inverse_columns,
     multiply_columns,
     quaternion_columns,
     rotate_columns,
 )
-from ahrs_service.sensor.parameters import Calibration, coefficients
-from ahrs_service.settings import Settings
 
 RATE_HZ = 100.0
 DRAG_PER_S = 0.25
@@ -54,9 +52,7 @@ def fly_tilted(roll, pitch, heading):
 
 def tilt_errors_deg(truth, samples):
     """Angle between the true and the estimated vertical [N]."""
-    estimates = empty(ESTIMATE_DTYPE, len(samples))
-    ideal = coefficients(Calibration.ideal())
-    pipeline.batch(pipeline.parameters(Settings()), ideal, pipeline.new_state(), samples, estimates)
+    estimates = Estimator().run(samples)
     turned = multiply_columns(truth, inverse_columns(estimates["ned_from_body"]))
     down = rotate_columns(turned, np.tile([0.0, 0.0, 1.0], (len(truth), 1)))
     return np.degrees(np.arccos(np.clip(down[:, 2], -1.0, 1.0)))

@@ -9,10 +9,8 @@ import math
 import numpy as np
 import pytest
 
-from ahrs_service import pipeline
-from ahrs_service.records import ESTIMATE_DTYPE, empty
+from ahrs_service.estimator import Estimator
 from ahrs_service.rotation import inverse_columns, multiply_columns
-from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.settings import FusionSettings, GateSettings, Settings
 
 SECONDS = 12.0
@@ -27,15 +25,7 @@ def estimates_of(samples, gyro_sample):
         gate=GateSettings(norm_m_s2=1e-9, rate_rad_s=1e-9),
         fusion=FusionSettings(mode="gated", airframe="other", gyro_sample=gyro_sample),
     )
-    estimates = empty(ESTIMATE_DTYPE, len(samples))
-    pipeline.batch(
-        pipeline.parameters(settings),
-        coefficients(Calibration.ideal()),
-        pipeline.new_state(),
-        samples,
-        estimates,
-    )
-    return estimates
+    return Estimator(settings).run(samples)
 
 
 def angles_deg(p, q):

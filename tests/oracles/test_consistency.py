@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ahrs_service import pipeline
-from ahrs_service.records import ESTIMATE_DTYPE, Airframe, Phase, empty
+from ahrs_service.estimator import Estimator
+from ahrs_service.records import Airframe, Phase
 from ahrs_service.rotation import inverse_columns, multiply_columns
-from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.settings import FusionSettings, Settings
 from ahrs_service.simulation.samples import samples_of
 from ahrs_service.simulation.scenario import SCENARIOS, make_flight
@@ -23,10 +22,7 @@ DRAWN_RUNS, DRAWN_S = 20, 60.0
 
 
 def estimate(samples, settings):
-    estimates, ideal = empty(ESTIMATE_DTYPE, len(samples)), coefficients(Calibration.ideal())
-    parameters = pipeline.parameters(settings)
-    pipeline.batch(parameters, ideal, pipeline.new_state(), samples, estimates)
-    return estimates
+    return Estimator(settings).run(samples)
 
 
 def tilt_in_sigmas(estimates, ned_from_body):

@@ -11,9 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ahrs_service import pipeline
-from ahrs_service.records import ESTIMATE_DTYPE, empty
-from ahrs_service.sensor.parameters import Calibration, coefficients
+from ahrs_service.estimator import Estimator
 from ahrs_service.settings import OTHER, FusionSettings, GateSettings, Settings
 
 SECONDS = 12.0
@@ -36,14 +34,9 @@ def velocity_error_m_s(motion, t, sample):
         fusion=FusionSettings(airframe="other", gyro_sample=sample, gyro_rest_sigma_rad_s=1e-9),
         other=unbounded,
     )
-    state, samples = pipeline.new_state(), motion.samples(t, sample == "mean")
-    pipeline.batch(
-        pipeline.parameters(settings),
-        coefficients(Calibration.ideal()),
-        state,
-        samples,
-        empty(ESTIMATE_DTYPE, len(samples)),
-    )
+    estimator = Estimator(settings)
+    estimator.run(motion.samples(t, sample == "mean"))
+    state = estimator.state
     return float(np.linalg.norm(state["velocity_ned_m_s"][0] - motion.velocity(t[-1:])[0]))
 
 

@@ -7,17 +7,17 @@ import math
 import numpy as np
 import pytest
 
-from ahrs_service import pipeline
 from ahrs_service.app.files.config_file import load
 from ahrs_service.comparison import compare
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2 as G
-from ahrs_service.records import ESTIMATE_DTYPE, Airframe, Phase, empty
+from ahrs_service.estimator import Estimator
+from ahrs_service.records import Airframe, Phase
 from ahrs_service.rotation import (
     euler_columns,
     inverse_columns,
     rotate_columns,
 )
-from ahrs_service.sensor.parameters import Calibration, coefficients
+from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.settings import FusionSettings, GateBudget, Settings
 from ahrs_service.simulation.samples import samples_of
 from ahrs_service.simulation.scenario import SCENARIOS, make_flight
@@ -53,11 +53,7 @@ def set_to(mode, budget):
 
 
 def estimate(flight, airframe, settings, known):
-    samples = samples_of(flight, airframe)
-    estimates = empty(ESTIMATE_DTYPE, len(samples))
-    parameters = pipeline.parameters(settings)
-    pipeline.batch(parameters, coefficients(known), pipeline.new_state(), samples, estimates)
-    return estimates
+    return Estimator(settings, known).run(samples_of(flight, airframe))
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from ahrs_service.app.estimate.command import estimate_columns
+from ahrs_service.app.estimate.arrays import estimate_columns
 from ahrs_service.app.estimate.sample_columns import Columns
 from ahrs_service.app.files import config_file
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from ahrs_service import pipeline
-from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, ImuSource, empty
+from ahrs_service.estimator import Estimator
+from ahrs_service.records import SAMPLE_DTYPE, ImuSource, empty
 from ahrs_service.sensor.curve import Curve
-from ahrs_service.sensor.parameters import Calibration, TriadCalibration, coefficients
+from ahrs_service.sensor.parameters import Calibration, TriadCalibration
 from ahrs_service.sensor.prior import CORRELATION_DEGC, narrow
 from ahrs_service.sensor.provenance import Uncertainty
 from ahrs_service.settings import Settings
@@ -65,9 +66,7 @@ def test_beyond_the_calibrated_span_the_usual_doubt_holds():
         samples["gyro_rad_s"], samples["accel_m_s2"] = 0.0, (0.0, 0.0, -9.80665)
         samples["temperature_degc"] = np.linspace(first, last, 600)
         samples["source"] = ImuSource.HIGHRES_IMU
-        estimates = empty(ESTIMATE_DTYPE, 600)
-        parameters = narrow(pipeline.parameters(settings), known)
-        pipeline.batch(parameters, coefficients(known), pipeline.new_state(), samples, estimates)
+        estimates = Estimator(settings, known).run(samples)
         sigmas.append(estimates["gyro_bias_sigma_rad_s"][-1].max())
     inside, outside = sigmas
     # The alignment takes the first of the six seconds, and with it a sixth of the ten degrees.

@@ -13,7 +13,6 @@ Examples:
 """
 
 import argparse
-import dataclasses
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,30 +25,22 @@ from rich.markup import escape
 from ahrs_service.app.diagnose import diagnosis_text as text
 from ahrs_service.app.diagnose.diagnosis_page import most_telling, page
 from ahrs_service.app.diagnose.diagnosis_terminal import summary
-from ahrs_service.app.diagnose.loaded_recording import load
-from ahrs_service.app.diagnose.recorded_columns import with_velocity
-from ahrs_service.app.files import calibration_file, toml_file, truth_file, twin_file
+from ahrs_service.app.diagnose.recording_diagnosis import diagnose
+from ahrs_service.app.files import calibration_file, toml_file, twin_file
 from ahrs_service.app.options import new_file
 from ahrs_service.app.replay.command import progress_bar
 from ahrs_service.calibration.folding import fold
-from ahrs_service.diagnosis.diagnose import diagnose
-from ahrs_service.diagnosis.input.diagnosis_input import Recorded
-from ahrs_service.diagnosis.input.effect_removal import without_effects
 from ahrs_service.diagnosis.result import Diagnosis, ResidualSeries, as_json
 from ahrs_service.effects.base import Effect, Values
 from ahrs_service.effects.catalogue import effect_of
 from ahrs_service.links.errors import RecordingError
 from ahrs_service.links.logs.recording_formats import KNOWN
 from ahrs_service.records import Floats
-from ahrs_service.sensor.compensation import compensate_columns
-from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.simulation.imu import Imu
 
 EXIT_DONE: Final = 0
 _PANELS_SHOWN: Final = 6
 """Panels of residual against covariate in one picture of the viewer: as many as can be read."""
-_READ: Final = 0.05
-"""Share of the whole time in which a recording is read."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -118,34 +109,7 @@ def diagnose_file(
 ) -> Diagnosis:
     """Read and diagnose a recording, with a bar; RecordingError says why it cannot be."""
     with progress_bar(errors, path.name) as advance:
-        loaded = load(path, lambda share: advance("reading", _READ * share))
-        try:
-            columns = compensated(with_velocity(loaded), twin.calibration)
-            columns = without_effects(columns, twin.effects)
-            truth = None if truth_path is None else truth_file.read(truth_path, columns)
-            diagnosis = diagnose(
-                columns, lambda share: advance("searching", _READ + (1.0 - _READ) * share), truth
-            )
-        except ValueError as error:
-            # Some of these name the recording, but not the folder that it is in.
-            why = str(error).removeprefix(f"{path.name}: ")
-            raise RecordingError(f"{path}: {why}") from None
-    notes = [*loaded.notes, *diagnosis.notes]
-    if diagnosis.oracle and diagnosis.oracle.oracle["gyro"].log_likelihood_gain < 0.0:
-        notes.append(text.DOUBTFUL_TRUTH)
-    return dataclasses.replace(diagnosis, notes=tuple(notes))
-
-
-def compensated(columns: Recorded, calibration: Calibration) -> Recorded:
-    """Return the columns with the twin's calibration taken away from the IMU's readings."""
-    if calibration == Calibration.ideal():
-        return columns
-    time_s = columns.imu_time_s
-    temperature = columns.temperature_degc.at(time_s)
-    gyro, accel = compensate_columns(
-        coefficients(calibration), columns.gyro_rad_s, columns.accel_m_s2, temperature, time_s
-    )
-    return dataclasses.replace(columns, gyro_rad_s=gyro, accel_m_s2=accel)
+        return diagnose(path, twin, truth_path, advance)
 
 
 def found_effects(diagnosis: Diagnosis) -> list[tuple[Effect, Values]]:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ahrs_service.app.diagnose.loaded_recording import Loaded, load
 from ahrs_service.diagnosis.input.diagnosis_input import Recorded, Series
+from ahrs_service.errors import DiagnosisError
 from ahrs_service.links.errors import RecordingError
 from ahrs_service.simulation.reference import smooth
 
@@ -24,7 +25,7 @@ def with_velocity(loaded: Loaded) -> Recorded:
     if len(columns.velocity_ned_m_s):
         return columns
     if not len(place):
-        raise ValueError(
+        raise DiagnosisError(
             "no velocity to compare the accelerometer with; "
             "record LOCAL_POSITION_NED or GLOBAL_POSITION_INT at 5 Hz or more"
         )

@@ -20,8 +20,6 @@ fusion.declination_deg), up.
 """
 
 import argparse
-import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,92 +27,15 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
-from ahrs_service import pipeline
 from ahrs_service.app import options
-from ahrs_service.app.estimate import recognition
-from ahrs_service.app.estimate.sample_columns import Columns, doubts, read_columns
+from ahrs_service.app.estimate.arrays import attitude_of
+from ahrs_service.app.estimate.sample_columns import read_columns
+from ahrs_service.app.files import config_file
 from ahrs_service.app.files.calibration_choice import CalibrationShelf
-from ahrs_service.errors import ConfigError
-from ahrs_service.links.errors import RecordingError
-from ahrs_service.records import ESTIMATE_DTYPE, Floats, Rows, empty
-from ahrs_service.rotation import multiply_columns
-from ahrs_service.sensor.parameters import Calibration, coefficients
-from ahrs_service.sensor.prior import narrow
+from ahrs_service.errors import ConfigError, RecordingError
 from ahrs_service.settings import Settings
-from ahrs_service.smoothing import Smoother
 
 EXIT_DONE: Final = 0
-_CHUNK: Final = 1 << 15
-_FRD_FROM_FLU: Final = np.array([0.0, 1.0, 0.0, 0.0])
-_ENU_FROM_NED: Final = np.array([0.0, math.sqrt(0.5), math.sqrt(0.5), 0.0])
-
-
-def estimate_columns(
-    columns: Columns,
-    settings: Settings,
-    frame: str,
-    offline: bool = False,
-    calibration: Calibration | None = None,
-) -> dict[str, Any]:
-    """Run the estimator over `columns` [N], smoothed where `offline`; return the fields of OUT."""
-    run = _run_smoothed if offline else _run
-    known = calibration or Calibration.ideal()
-    count = len(columns.time_ns)
-    out: dict[str, Any] = {
-        "quat": np.empty((count, 4)),
-        "sigma_deg": np.empty((count, 3)),
-        "gate": np.empty(count, np.uint32),
-    }
-    for part, rows in run(columns, settings, known, frame, magnetometer=False):
-        out["quat"][part] = _turned(rows["ned_from_body"], frame, earth=_FRD_FROM_FLU)
-        out["sigma_deg"][part] = np.degrees(rows["attitude_sigma_rad"])
-        out["gate"][part] = rows["gate"]
-    if columns.mag_ut is not None and settings.fusion.magnetometer:
-        out["quat9"] = np.empty((count, 4))
-        for part, rows in run(columns, settings, known, frame, magnetometer=True):
-            out["quat9"][part] = _turned(rows["ned_from_body"], frame, earth=_ENU_FROM_NED)
-    return out
-
-
-def _run(
-    columns: Columns, settings: Settings, known: Calibration, frame: str, magnetometer: bool
-) -> Iterator[tuple[slice, Rows]]:
-    """Run once over all samples; yield estimates piece by piece, in rows used again."""
-    parameters, row = narrow(pipeline.parameters(settings), known), coefficients(known)
-    state = pipeline.new_state()
-    estimates = empty(ESTIMATE_DTYPE, _CHUNK)
-    count = len(columns.time_ns)
-    for start in range(0, count, _CHUNK):
-        stop = min(start + _CHUNK, count)
-        samples = columns.samples(start, stop, frame, magnetometer)
-        rows = estimates[: stop - start]
-        pipeline.batch(parameters, row, state, samples, rows)
-        yield slice(start, stop), rows
-
-
-def _run_smoothed(
-    columns: Columns, settings: Settings, known: Calibration, frame: str, magnetometer: bool
-) -> Iterator[tuple[slice, Rows]]:
-    """Run once over all samples and back; yield all estimates in one piece."""
-    count, smoother = len(columns.time_ns), Smoother()
-    estimates = empty(ESTIMATE_DTYPE, count)
-    parameters, row = narrow(pipeline.parameters(settings), known), coefficients(known)
-    state = pipeline.new_state()
-    for start in range(0, count, _CHUNK):
-        stop = min(start + _CHUNK, count)
-        samples = columns.samples(start, stop, frame, magnetometer)
-        smoother.batch(parameters, row, state, samples, estimates[start:stop])
-    smoother.smooth(estimates)
-    yield slice(0, count), estimates
-
-
-def _turned(ned_from_body: Floats, frame: str, earth: Floats) -> Floats:
-    """Attitudes [N, 4] in the frame asked for, by the turn `earth` [4] from north-east-down."""
-    if frame == "frd":
-        return ned_from_body
-    turned = multiply_columns(multiply_columns(earth, ned_from_body), _FRD_FROM_FLU)
-    flipped: Floats = np.where(turned[:, :1] < 0.0, -turned, turned)
-    return flipped
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -139,14 +60,18 @@ def run(args: argparse.Namespace) -> int:
     if choice is None and shelf.is_folder:
         raise ConfigError(shelf.refusal(""))
     columns = read_columns(args.source)
-    if args.profile is None and settings.fusion.airframe == "auto":
-        args.profile = recognition.profile_of(recognition.signs_of(columns, args.frame))
-        settings = options.settings_of(args)
-        console.print(f"taken for {args.profile} by its motion; --profile says it", highlight=False)
+
+    def settings_with(profile: str | None) -> Settings:
+        return config_file.load(args.config, args.overrides, profile)
+
     known = None if choice is None else choice.calibration
-    out = estimate_columns(columns, settings, args.frame, args.offline, known)
+    attitude = attitude_of(columns, settings_with, args.profile, args.frame, args.offline, known)
+    out = attitude.arrays()
     _write(args.out, out)
-    for doubt in doubts(columns, args.frame):
+    if args.profile is None and settings.fusion.airframe == "auto":
+        said = f"taken for {attitude.profile} by its motion; --profile says it"
+        console.print(said, highlight=False)
+    for doubt in attitude.doubts:
         console.print(escape(f"{args.source}: {doubt}"), highlight=False, soft_wrap=True)
     if choice is not None:
         console.print(escape(choice.text()), highlight=False, soft_wrap=True)

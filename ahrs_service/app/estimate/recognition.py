@@ -17,7 +17,7 @@ changes across as much as along, 1.1 to 1.7 times, where thrust does 0.17 to 0.5
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
@@ -45,6 +45,9 @@ LEAST_S: Final = 20
 """In less time nothing is told."""
 
 
+Recognised = Literal["fixed_wing", "multirotor", "hand_held"]
+
+
 @dataclass(frozen=True, slots=True)
 class Signs:
     """What samples show.
@@ -60,7 +63,7 @@ class Signs:
     sideways: float = 0.0
 
 
-def profile_of(signs: Signs) -> str:
+def profile_of(signs: Signs) -> Recognised:
     """Return the name of the profile for what was shown."""
     flies = SLOWEST_FLIGHT_M_S < signs.speed_m_s < FASTEST_FLIGHT_M_S
     if flies and signs.likeness > FLOWN_LIKENESS:

@@ -8,6 +8,7 @@ like another unit or other axes is told, not mended.
 import math
 import zipfile
 import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -15,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import InvalidValueError, RecordingError
 from ahrs_service.records import SAMPLE_DTYPE, Floats, ImuSource, Integers, Rows, empty
 
 _FASTEST_HZ: Final = 1e6
@@ -40,6 +41,7 @@ _UNITS: Final = {
     "t": "s",
     "sampling_rate": "Hz",
 }
+_OWN_NAMES: Final = {name: name for name in _UNITS}
 _NOT_AN_NPZ: Final = (
     ValueError,
     EOFError,
@@ -87,25 +89,32 @@ class Columns:
 
 def read_columns(path: Path) -> Columns:
     """Read IN; RecordingError names the file, the field, what is wrong and what to give."""
-    return columns_of(path, _read_fields(path))
+    try:
+        return columns_of(_read_fields(path))
+    except InvalidValueError as error:
+        raise RecordingError(f"{path}: {error}") from None
 
 
-def columns_of(path: Path, fields: dict[str, Any]) -> Columns:
-    """Check the fields of IN by name; see `read_columns`."""
-    for name in ("imu_gyr", "imu_acc"):
-        if name not in fields:
-            raise RecordingError(
-                f"{path}: field {name} is missing (there are: {', '.join(fields) or 'none'}); "
-                f"give {name} [N, 3] in {_UNITS[name]}"
+def columns_of(fields: dict[str, Any], names: Mapping[str, str] = _OWN_NAMES) -> Columns:
+    """Check the fields of IN by name; InvalidValueError says what is wrong and what to give.
+
+    `names` are what the fields are called where they come from.
+    """
+    for field in ("imu_gyr", "imu_acc"):
+        if field not in fields:
+            there = ", ".join(names[field] for field in fields) or "none"
+            raise InvalidValueError(
+                f"field {names[field]} is missing (there are: {there}); "
+                f"give {names[field]} [N, 3] in {_UNITS[field]}"
             )
     count = len(fields["imu_gyr"]) if fields["imu_gyr"].ndim else 0
     vectors = {}
-    for name, array in fields.items():
-        if name != "sampling_rate":
-            vectors[name] = _checked(path, name, array, count)
+    for field, array in fields.items():
+        if field != "sampling_rate":
+            vectors[field] = _checked(names, field, array, count)
     if not count:
-        raise RecordingError(f"{path}: imu_gyr holds no sample; give at least one row")
-    time_ns = _time_ns(path, vectors.get("t"), fields.get("sampling_rate"), count)
+        raise InvalidValueError(f"{names['imu_gyr']} holds no sample; give at least one row")
+    time_ns = _time_ns(names, vectors.get("t"), fields.get("sampling_rate"), count)
     airspeed, velocity = vectors.get("airspeed"), vectors.get("vel_ned")
     return Columns(
         time_ns,
@@ -190,54 +199,54 @@ def _read_fields(path: Path) -> dict[str, Any]:
         ) from None
 
 
-def _checked(path: Path, name: str, array: Any, count: int) -> Any:
-    """Return `array` if its type and shape are those of field `name`."""
-    wanted = (count,) if name in _SCALARS else (count, 3)
-    text = "[N]" if name in _SCALARS else "[N, 3]"
+def _checked(names: Mapping[str, str], field: str, array: Any, count: int) -> Any:
+    """Return `array` if its type and shape are those of the field."""
+    name, unit = names[field], _UNITS[field]
+    wanted = (count,) if field in _SCALARS else (count, 3)
+    text = "[N]" if field in _SCALARS else "[N, 3]"
     if array.dtype.kind not in "fiu":
-        raise RecordingError(
-            f"{path}: {name} is of type {array.dtype}; give real numbers {text} in {_UNITS[name]}"
+        raise InvalidValueError(
+            f"{name} is of type {array.dtype}; give real numbers {text} in {unit}"
         )
-    if array.shape != wanted and not (name == "vel_ned" and array.shape == (count, 2)):
-        rows = "" if name == "imu_gyr" else f" with N = {count}, as imu_gyr has"
-        raise RecordingError(
-            f"{path}: {name} has shape {array.shape}; give {text} in {_UNITS[name]}{rows}"
-        )
+    if array.shape != wanted and not (field == "vel_ned" and array.shape == (count, 2)):
+        rows = "" if field == "imu_gyr" else f" with N = {count}, as {names['imu_gyr']} has"
+        raise InvalidValueError(f"{name} has shape {array.shape}; give {text} in {unit}{rows}")
     return array
 
 
-def _time_ns(path: Path, t: Any, rate: Any, count: int) -> Integers:
+def _time_ns(names: Mapping[str, str], t: Any, rate: Any, count: int) -> Integers:
     """Times [N] [ns] after a constant; a missing stamp is put between its neighbours."""
     if t is None:
-        step_ns = 1e9 / _rate_hz(path, rate)
+        step_ns = 1e9 / _rate_hz(names["sampling_rate"], rate)
         return _BEGIN_NS + np.rint(np.arange(count) * step_ns).astype(np.int64)
     seconds = t.astype(np.float64)
     known = np.isfinite(seconds)
     if not known.any():
-        raise RecordingError(f"{path}: t holds no finite time; give seconds, or sampling_rate")
+        raise InvalidValueError(
+            f"t holds no finite time; give seconds, or {names['sampling_rate']}"
+        )
     places = np.arange(count)
     seconds = np.interp(places, places[known], seconds[known]) - seconds[known][0]
     far = np.abs(seconds).max()
     if far > _LONGEST_S:
-        raise RecordingError(f"{path}: t spans {far:g} s; give the time of each sample in seconds")
+        raise InvalidValueError(f"t spans {far:g} s; give the time of each sample in seconds")
     steps = np.diff(seconds)
     if count > 1 and not (steps > 0.0).any():
-        raise RecordingError(f"{path}: t never rises; give seconds, or sampling_rate in Hz")
+        raise InvalidValueError(f"t never rises; give seconds, or {names['sampling_rate']} in Hz")
     usual = float(np.median(steps[steps > 0.0])) if count > 1 else 0.0
     if usual > _SLOWEST_STEP_S:
-        raise RecordingError(f"{path}: t rises by {usual:g} a sample; give it in seconds")
+        raise InvalidValueError(f"t rises by {usual:g} a sample; give it in seconds")
     return _BEGIN_NS + np.rint(seconds * 1e9).astype(np.int64)
 
 
-def _rate_hz(path: Path, rate: Any) -> float:
+def _rate_hz(name: str, rate: Any) -> float:
     if rate is None:
-        raise RecordingError(
-            f"{path}: neither sampling_rate nor t is there; give sampling_rate in Hz, "
-            "or t [N] in seconds"
+        raise InvalidValueError(
+            f"neither {name} nor t is there; give {name} in Hz, or t [N] in seconds"
         )
     value = float(rate.item()) if rate.size == 1 and rate.dtype.kind in "fiu" else math.nan
     if not 0.0 < value <= _FASTEST_HZ:
-        raise RecordingError(
-            f"{path}: sampling_rate = {rate}; give one number above 0 and up to {_FASTEST_HZ:g} Hz"
+        raise InvalidValueError(
+            f"{name} = {rate}; give one number above 0 and up to {_FASTEST_HZ:g} Hz"
         )
     return value

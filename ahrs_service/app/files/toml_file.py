@@ -69,7 +69,7 @@ def validate(document: Mapping[str, Any], kind: type[_T], origin: str) -> _T:
 
 # To build one takes longer than to read most files.
 @functools.cache
-def _adapter(kind: type[Any]) -> TypeAdapter[Any]:
+def _adapter(kind: Any) -> TypeAdapter[Any]:
     return TypeAdapter(kind)
 
 

@@ -26,9 +26,9 @@ from rich.console import Console
 from rich.live import Live
 
 from ahrs_service.app import options
-from ahrs_service.app.files import config_file
 from ahrs_service.app.live.daemon import Daemon
 from ahrs_service.app.live.terminal import TerminalLog, live_table, session_table
+from ahrs_service.errors import ConfigError
 from ahrs_service.settings import Settings
 
 DEFAULT_VIEWER_PORT: Final = 9876
@@ -68,7 +68,7 @@ def settings_from(arguments: argparse.Namespace) -> Settings:
         link = dataclasses.replace(link, uri=arguments.link)
     if arguments.record:
         if arguments.record.endswith(".tlog") and Path(arguments.record).exists():
-            raise config_file.ConfigError(
+            raise ConfigError(
                 f"--record {arguments.record}: exists already and is never overwritten; "
                 "name another file, or a folder"
             )

@@ -31,13 +31,13 @@ from rich.console import Console
 from rich.table import Table
 
 from ahrs_service.app import options
-from ahrs_service.app.files import config_file
 from ahrs_service.app.files.calibration_choice import CalibrationShelf
 from ahrs_service.app.live.command import DEFAULT_VIEWER_PORT, showing
 from ahrs_service.app.live.daemon import Daemon
 from ahrs_service.app.live.terminal import TerminalLog, session_table
 from ahrs_service.app.replay.replay_log import ReplayResult, replay_log
 from ahrs_service.app.replay.report import error_table
+from ahrs_service.errors import ConfigError
 from ahrs_service.settings import Settings
 from ahrs_service.simulation.scenario import SCENARIOS
 
@@ -74,9 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Fly, then report; return the exit code."""
     console = Console()
     if arguments.scenario not in SCENARIOS:
-        raise config_file.ConfigError(
-            f"--scenario {arguments.scenario}: choose one of {', '.join(SCENARIOS)}"
-        )
+        raise ConfigError(f"--scenario {arguments.scenario}: choose one of {', '.join(SCENARIOS)}")
     settings = options.settings_of(arguments)
     sensor = options.sensor_of(arguments, settings.sensor)
     # What is wrong with it is told before a folder is made.
@@ -108,11 +106,11 @@ def _files(out: Path) -> Path:
         except FileExistsError:
             continue
         except OSError as error:
-            raise config_file.ConfigError(
+            raise ConfigError(
                 f"--out {out}: {error.strerror}; give a folder that can be written"
             ) from None
         return folder
-    raise config_file.ConfigError(f"--out {out}: too many folders named {name}")
+    raise ConfigError(f"--out {out}: too many folders named {name}")
 
 
 def _free_port(kind: socket.SocketKind, wanted: int = 0) -> int:
@@ -121,7 +119,7 @@ def _free_port(kind: socket.SocketKind, wanted: int = 0) -> int:
         with socket.socket(socket.AF_INET, kind) as probe, contextlib.suppress(OSError):
             probe.bind((_HOST, port))
             return int(probe.getsockname()[1])
-    raise config_file.ConfigError("no free port on the loopback interface")
+    raise ConfigError("no free port on the loopback interface")
 
 
 def _with_places(settings: Settings, files: Path) -> Settings:

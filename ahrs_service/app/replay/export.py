@@ -11,15 +11,10 @@ import pyarrow.parquet
 
 from ahrs_service.app.files.config_file import to_json
 from ahrs_service.app.replay.summary import Summary
+from ahrs_service.flat_columns import as_columns
 from ahrs_service.records import ESTIMATE_DTYPE, Rows
-from ahrs_service.rotation import euler_columns
 from ahrs_service.settings import Settings
 
-_AXES: Final = {
-    "ned_from_body": "wxyz",
-    "attitude_sigma_rad": ("north", "east", "down"),
-}
-_BODY: Final = "xyz"
 _ROWS: Final = 1 << 16
 
 
@@ -52,16 +47,4 @@ def _schema() -> Any:
 
 
 def _table(estimates: Rows) -> Any:
-    """Flatten ESTIMATE rows: `rate_rad_s` [3] becomes `rate_rad_s_x` and so on."""
-    columns: dict[str, Any] = {}
-    for name in ESTIMATE_DTYPE.names or ():
-        column = estimates[name]
-        if column.ndim == 1:
-            columns[name] = np.ascontiguousarray(column)
-            continue
-        for i, axis in enumerate(_AXES.get(name, _BODY)):
-            columns[f"{name}_{axis}"] = np.ascontiguousarray(column[:, i])
-    euler = euler_columns(estimates["ned_from_body"])
-    for i, name in enumerate(("roll_rad", "pitch_rad", "yaw_rad")):
-        columns[name] = np.ascontiguousarray(euler[:, i])
-    return pa.table(columns)
+    return pa.table(as_columns(estimates))

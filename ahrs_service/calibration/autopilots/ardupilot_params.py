@@ -22,6 +22,7 @@ from ahrs_service.calibration.autopilots import compensation_model as form_of
 from ahrs_service.calibration.autopilots.compensation_model import Triad, TriadForm
 from ahrs_service.calibration.autopilots.export import Export, Values, number, vector
 from ahrs_service.calibration.autopilots.loss import lag_remarks, loss
+from ahrs_service.errors import InvalidValueError
 from ahrs_service.records import Floats
 from ahrs_service.sensor.parameters import Calibration
 
@@ -47,7 +48,9 @@ class Names:
     def __post_init__(self) -> None:
         """Raise ValueError for an IMU that ArduPilot cannot have."""
         if self.imu not in IMUS:
-            raise ValueError(f"IMU {self.imu}: ArduPilot counts its IMUs from 1 to {IMUS[-1]}")
+            raise InvalidValueError(
+                f"IMU {self.imu}: ArduPilot counts its IMUs from 1 to {IMUS[-1]}"
+            )
 
     def vector(self, triad: Triad, what: str) -> list[str]:
         """Return the names of SCAL or OFFS of x, y, z."""
@@ -120,7 +123,7 @@ def _no_drift(names: Names, triad: Triad) -> Values:
 
 def _check_span(span: tuple[float, float] | None) -> None:
     if span is not None and span[1] - span[0] < LEAST_SPAN_DEGC:
-        raise ValueError(
+        raise InvalidValueError(
             f"the calibration spans {span[0]:.1f}..{span[1]:.1f} degC and ArduPilot wants "
             f"{LEAST_SPAN_DEGC:.0f} degC at least: calibrate over more"
         )
@@ -150,12 +153,12 @@ def _check_accel(values: Values, names: Names) -> list[str]:
     offset = vector(values, names.vector("accel", "OFFS"))
     scale = vector(values, names.vector("accel", "SCAL"))
     if np.abs(offset).max() > LARGEST_OFFSET_M_S2:
-        raise ValueError(
+        raise InvalidValueError(
             f"accelerometer offsets {(np.round(offset, 3) + 0.0).tolist()} m/s^2: ArduPilot takes "
             f"at most {LARGEST_OFFSET_M_S2}; was the calibration made in m/s^2?"
         )
     if scale.min() < SCALES[0] or scale.max() > SCALES[1]:
-        raise ValueError(
+        raise InvalidValueError(
             f"accelerometer scales {np.round(scale, 4).tolist()}: ArduPilot takes {SCALES[0]} to "
             f"{SCALES[1]}; was the calibration made in m/s^2?"
         )
@@ -209,7 +212,7 @@ def _form(parameters: Mapping[str, float], names: Names, triad: Triad, thermal: 
     if triad == "accel":
         scale = vector(parameters, names.vector(triad, "SCAL"))
         if not scale.all():
-            raise ValueError(
+            raise InvalidValueError(
                 f"{names.vector(triad, 'SCAL')[0]} = 0: the autopilot has no IMU {names.imu}, or "
                 "it was never calibrated"
             )
@@ -222,7 +225,7 @@ def _form(parameters: Mapping[str, float], names: Names, triad: Triad, thermal: 
     bounds = vector(parameters, [names.tcal("TMIN"), names.tcal("TMAX"), names.caltemp(triad)])
     low, high, caltemp = bounds.tolist()
     if not low < high:
-        raise ValueError(
+        raise InvalidValueError(
             f"{names.tcal('TMIN')} = {low:g} is not below {names.tcal('TMAX')} = {high:g}: the "
             "thermal calibration is damaged"
         )

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ahrs_service.errors import InvalidValueError
 from ahrs_service.records import Floats
 
 _EULER_DEG: Final = (
@@ -70,7 +71,7 @@ def body_from_sensor(orientation: int) -> Floats:
     ValueError for a number that means no fixed rotation, as 100 and 101 for custom ones.
     """
     if not 0 <= orientation < len(_EULER_DEG):
-        raise ValueError(
+        raise InvalidValueError(
             f"orientation {orientation} is none of the fixed rotations 0 to {len(_EULER_DEG) - 1}; "
             "turn the calibration to the sensor's axes yourself and give orientation 0"
         )

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.polynomial import Legendre, Polynomial, legendre
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.errors import InvalidValueError
 from ahrs_service.records import Floats
 from ahrs_service.sensor.curve import POWERS, Curve
 from ahrs_service.sensor.forward import forward_columns
@@ -136,7 +137,7 @@ def joint_span(*spans: tuple[float, float] | None) -> tuple[float, float] | None
         return None
     low, high = max(span[0] for span in known), min(span[1] for span in known)
     if not low < high:
-        raise ValueError(
+        raise InvalidValueError(
             f"the calibrated spans {known} degC have nothing in common: calibrate both triads "
             "over the same temperatures"
         )

@@ -14,6 +14,7 @@ import numpy as np
 
 from ahrs_service.calibration.autopilots import ardupilot_params, px4_params
 from ahrs_service.calibration.autopilots.compensation_model import Triad, TriadForm
+from ahrs_service.errors import InvalidValueError
 from ahrs_service.records import IMU_OF_SOURCE, ImuSource
 
 PX4: Final = 12
@@ -40,7 +41,7 @@ def forms_in_force(parameters: Mapping[str, float], imu: int = 1) -> dict[Triad,
         return ardupilot_params.forms_of_ardupilot(parameters, imu)
     if any(name.startswith("CAL_ACC") for name in parameters):
         return px4_params.forms_of_px4(parameters, imu)
-    raise ValueError(
+    raise InvalidValueError(
         f"none of the {len(parameters)} parameters calibrates an IMU (INS_ACC* of ArduPilot, "
         "CAL_ACC* of PX4): give all of the autopilot's"
     )

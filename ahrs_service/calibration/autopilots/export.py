@@ -7,6 +7,7 @@ import numpy as np
 
 from ahrs_service.calibration.autopilots.compensation_model import Triad
 from ahrs_service.calibration.autopilots.loss import Loss
+from ahrs_service.errors import InvalidValueError
 from ahrs_service.records import Floats
 
 Values = dict[str, float | int]
@@ -36,7 +37,9 @@ def vector(parameters: Mapping[str, float], names: Sequence[str]) -> Floats:
     """Return the values of `names`; ValueError names one that is missing or no number."""
     for name in names:
         if name not in parameters:
-            raise ValueError(f"{name} is missing: give all calibration parameters of the autopilot")
+            raise InvalidValueError(
+                f"{name} is missing: give all calibration parameters of the autopilot"
+            )
         if not np.isfinite(parameters[name]):
-            raise ValueError(f"{name} = {parameters[name]}: is no number")
+            raise InvalidValueError(f"{name} = {parameters[name]}: is no number")
     return np.array([parameters[name] for name in names], np.float64)

@@ -22,6 +22,7 @@ from ahrs_service.calibration.autopilots import compensation_model as form_of
 from ahrs_service.calibration.autopilots.compensation_model import Triad, TriadForm
 from ahrs_service.calibration.autopilots.export import Export, Values, number, vector
 from ahrs_service.calibration.autopilots.loss import lag_remarks, loss
+from ahrs_service.errors import InvalidValueError
 from ahrs_service.records import Floats
 from ahrs_service.sensor.parameters import Calibration
 
@@ -51,7 +52,7 @@ def _cal(triad: Triad, imu: int, what: str) -> list[str]:
 
 def _index(imu: int) -> int:
     if imu not in IMUS:
-        raise ValueError(f"IMU {imu}: give 1 for PX4's CAL_ACC0, to {IMUS[-1]}")
+        raise InvalidValueError(f"IMU {imu}: give 1 for PX4's CAL_ACC0, to {IMUS[-1]}")
     return imu - 1
 
 
@@ -170,7 +171,7 @@ def check_slots(parameters: Mapping[str, float], imu: int) -> None:
     for triad in _TC:
         slot = thermal_slot(parameters, triad, imu)
         if slot not in (None, imu) and parameters.get(tc_id(triad, imu)):
-            raise ValueError(
+            raise InvalidValueError(
                 f"{tc_id(triad, slot or imu)} is of the same sensor and PX4 takes the first of its "
                 "id: set it to 0 on the autopilot"
             )
@@ -192,7 +193,7 @@ def _form(parameters: Mapping[str, float], triad: Triad, imu: int, slot: int | N
     if triad == "accel" or names[0] in parameters:
         scale = vector(parameters, names)
     if not scale.all():
-        raise ValueError(f"{names[0]} = 0: the sensor was never calibrated")
+        raise InvalidValueError(f"{names[0]} = 0: the sensor was never calibrated")
     powers = np.zeros((4, 3))
     powers[0] = vector(parameters, _cal(triad, imu, "OFF"))
     if slot is None:
@@ -202,7 +203,7 @@ def _form(parameters: Mapping[str, float], triad: Triad, imu: int, slot: int | N
     names = [_tc(triad, slot, what) for what in ("TMIN", "TMAX", "TREF")]
     low, high, reference = vector(parameters, names).tolist()
     if not low < high:
-        raise ValueError(
+        raise InvalidValueError(
             f"{names[0]} = {low:g} is not below {names[1]} = {high:g}: the thermal calibration is "
             "damaged"
         )

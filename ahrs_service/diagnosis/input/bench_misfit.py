@@ -24,6 +24,7 @@ from ahrs_service.diagnosis.input.reference_motion import (
 from ahrs_service.diagnosis.input.windows import means
 from ahrs_service.diagnosis.noise_model.kalman import whiten_channel
 from ahrs_service.effects.base import Addition
+from ahrs_service.errors import DiagnosisError
 from ahrs_service.records import Floats
 
 _STEP_S: Final = 0.08
@@ -45,7 +46,7 @@ class BenchResidual:
 
     def __init__(self, recorded: Recorded, reference: Reference) -> None:
         if reference.rate_rad_s is None:
-            raise ValueError(f"{recorded.name}: no rates of an encoder to compare with")
+            raise DiagnosisError(f"{recorded.name}: no rates of an encoder to compare with")
         inside = (recorded.imu_time_s >= reference.time_s[0]) & (
             recorded.imu_time_s <= reference.time_s[-1]
         )

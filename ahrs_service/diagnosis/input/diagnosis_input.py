@@ -41,10 +41,10 @@ class Recorded:
     accel_m_s2: Floats
     attitude: Series
     velocity_ned_m_s: Series
-    body_rate_rad_s: Series
-    temperature_degc: Series
-    vibration_m_s2: Series
-    current_a: Series
-    throttle: Series
-    airspeed_m_s: Series
+    body_rate_rad_s: Series = field(default_factory=Series)
+    temperature_degc: Series = field(default_factory=Series)
+    vibration_m_s2: Series = field(default_factory=Series)
+    current_a: Series = field(default_factory=Series)
+    throttle: Series = field(default_factory=Series)
+    airspeed_m_s: Series = field(default_factory=Series)
     supply_v: Series = field(default_factory=Series)

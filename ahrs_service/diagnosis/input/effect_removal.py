@@ -14,6 +14,7 @@ from scipy.ndimage import uniform_filter1d
 
 from ahrs_service.diagnosis.input.diagnosis_input import Recorded, Series
 from ahrs_service.effects.base import Columns, Effect, Values
+from ahrs_service.errors import DiagnosisError
 from ahrs_service.records import Floats
 
 Known = Sequence[tuple[Effect, Values]]
@@ -107,7 +108,7 @@ def _added(columns: Columns, effects: Known) -> tuple[Floats, Floats]:
             continue
         for name in effect.needs:
             if not columns.knows(name):
-                raise ValueError(
+                raise DiagnosisError(
                     f"the twin's {effect.id} needs {name}, which the recording has not; "
                     "leave the effect out of the twin"
                 )

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d, median_filter
 
 from ahrs_service.diagnosis.input.diagnosis_input import Recorded, Series
+from ahrs_service.errors import DiagnosisError
 from ahrs_service.records import Floats
 from ahrs_service.rotation import inverse_columns, multiply_columns, rotate_columns
 
@@ -47,7 +48,7 @@ def reference_of(recorded: Recorded) -> Reference:
     time_s, attitude = recorded.attitude.time_s, recorded.attitude.values
     inside = (time_s >= recorded.imu_time_s[0]) & (time_s <= recorded.imu_time_s[-1])
     if inside.sum() < LEAST_REFERENCES:
-        raise ValueError(
+        raise DiagnosisError(
             f"{recorded.name}: {int(inside.sum())} attitudes beside the IMU's samples are too few "
             f"to compare with; record ATTITUDE_QUATERNION or ATTITUDE at 10 Hz or more"
         )

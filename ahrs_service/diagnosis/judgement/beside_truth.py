@@ -16,6 +16,7 @@ from ahrs_service.diagnosis.judgement.held_out_gain import free_run, held_out
 from ahrs_service.diagnosis.noise_model.likelihood import fit_noise
 from ahrs_service.diagnosis.result import Oracle, TrueEffect
 from ahrs_service.effects.base import Effect, Values
+from ahrs_service.errors import DiagnosisError
 
 TRIADS = ("gyro", "accel")
 
@@ -33,7 +34,9 @@ def beside_truth(residual: Residual, bare: Model, found: Model, truth: Truth) ->
     for effect, _ in truth.effects:
         why = missing_covariate(effect, residual.columns)
         if why is not None:
-            raise ValueError(f"the truth holds {effect.id}, but {why}; give this recording's truth")
+            raise DiagnosisError(
+                f"the truth holds {effect.id}, but {why}; give this recording's truth"
+            )
     terms = tuple(Term(effect, dict(values)) for effect, values in truth.effects)
     model = _with_true_numbers(residual, bare, terms)
     run = free_run(residual, bare, model)

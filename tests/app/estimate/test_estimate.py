@@ -6,12 +6,11 @@ import sys
 import numpy as np
 import pytest
 
-from ahrs_service import pipeline
-from ahrs_service.app.estimate import command as estimate
+from ahrs_service.app.estimate import arrays
 from ahrs_service.app.files import config_file
-from ahrs_service.records import ESTIMATE_DTYPE, SAMPLE_DTYPE, ImuSource, empty
+from ahrs_service.estimator import Estimator
+from ahrs_service.records import SAMPLE_DTYPE, ImuSource, empty
 from ahrs_service.rotation import euler_columns, inverse_columns, multiply_columns
-from ahrs_service.sensor.parameters import Calibration, coefficients
 from tests.app.estimate.conftest import angle_deg
 
 FLIP = np.array([1.0, -1.0, -1.0])
@@ -54,16 +53,9 @@ def test_the_answer_is_the_pipelines_to_the_last_bit(flight, run, monkeypatch):
     samples["time_ns"] = samples["received_ns"] = np.arange(len(rows)) * 10_000_000
     samples["gyro_rad_s"], samples["accel_m_s2"] = fields["imu_gyr"], fields["imu_acc"]
     samples["source"] = ImuSource.HIGHRES_IMU
-    expected = empty(ESTIMATE_DTYPE, len(rows))
-    pipeline.batch(
-        pipeline.parameters(config_file.load(profile="fixed_wing")),
-        coefficients(Calibration.ideal()),
-        pipeline.new_state(),
-        samples,
-        expected,
-    )
+    expected = Estimator(config_file.load(profile="fixed_wing")).run(samples)
     # Several pieces, the last of them short.
-    monkeypatch.setattr(estimate, "_CHUNK", 1000)
+    monkeypatch.setattr(arrays, "_CHUNK", 1000)
     out = run(only(fields), "--profile", "fixed_wing")
     assert out["quat"].tobytes() == expected["ned_from_body"].tobytes()
     assert out["gate"].tobytes() == expected["gate"].tobytes()

@@ -1,0 +1,91 @@
+"""From a recording, or from columns, to its diagnosis: `ahrs_service.diagnose`."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from ahrs_service.app.diagnose.diagnosis_text import DOUBTFUL_TRUTH
+from ahrs_service.app.diagnose.loaded_recording import load
+from ahrs_service.app.diagnose.recorded_columns import with_velocity
+from ahrs_service.app.files import truth_file, twin_file
+from ahrs_service.diagnosis.diagnose import diagnose as diagnose_columns
+from ahrs_service.diagnosis.input.diagnosis_input import Recorded
+from ahrs_service.diagnosis.input.effect_removal import without_effects
+from ahrs_service.diagnosis.result import Diagnosis
+from ahrs_service.errors import RecordingError
+from ahrs_service.sensor.compensation import compensate_columns
+from ahrs_service.sensor.parameters import Calibration, coefficients
+from ahrs_service.simulation.imu import Imu
+
+Advance = Callable[[str, float], None]
+
+_READ: Final = 0.05
+"""Share of the whole time in which a recording is read."""
+
+
+def diagnose(
+    source: str | Path | Recorded,
+    twin: Imu | str | Path | None = None,
+    truth: str | Path | None = None,
+    advance: Advance | None = None,
+) -> Diagnosis:
+    """Compare a recording with its twin: where they differ, what physics was left out, how sure.
+
+    `source` is a recording (.tlog, .ulg, .bin) or columns of one; `twin` the sensor as it is
+    believed to be, or its file, without one an ideal sensor; `truth` a file of what the recording
+    is known to hold, shown beside what is found. `advance` is called with what is being done and
+    the share done, 0 to 1. RecordingError or DiagnosisError says what is missing.
+
+    >>> from ahrs_service import diagnose
+    >>> diagnosis = diagnose("bench.tlog")
+    >>> diagnosis.verdict
+    'explained'
+    >>> [finding.effect for finding in diagnosis.findings]
+    ['gyro_scale_factor']
+    """
+    known = Imu() if twin is None else twin
+    if isinstance(known, str | Path):
+        known = twin_file.read(Path(known))
+    truth_path = None if truth is None else Path(truth)
+    told = advance or _silent
+    if isinstance(source, Recorded):
+        return _diagnose(source, known, truth_path, told, ())
+    path = Path(source)
+    loaded = load(path, lambda share: told("reading", _READ * share))
+    try:
+        return _diagnose(with_velocity(loaded), known, truth_path, told, loaded.notes)
+    except ValueError as error:
+        # Some of these name the recording, but not the folder that it is in.
+        why = str(error).removeprefix(f"{path.name}: ")
+        raise RecordingError(f"{path}: {why}") from None
+
+
+def _diagnose(
+    recorded: Recorded, twin: Imu, truth_path: Path | None, told: Advance, notes: tuple[str, ...]
+) -> Diagnosis:
+    columns = without_effects(compensated(recorded, twin.calibration), twin.effects)
+    truth = None if truth_path is None else truth_file.read(truth_path, columns)
+    diagnosis = diagnose_columns(
+        columns, lambda share: told("searching", _READ + (1.0 - _READ) * share), truth
+    )
+    notes = (*notes, *diagnosis.notes)
+    if diagnosis.oracle and diagnosis.oracle.oracle["gyro"].log_likelihood_gain < 0.0:
+        notes = (*notes, DOUBTFUL_TRUTH)
+    return dataclasses.replace(diagnosis, notes=notes)
+
+
+def compensated(columns: Recorded, calibration: Calibration) -> Recorded:
+    """Return the columns with the twin's calibration taken away from the IMU's readings."""
+    if calibration == Calibration.ideal():
+        return columns
+    time_s = columns.imu_time_s
+    temperature = columns.temperature_degc.at(time_s)
+    gyro, accel = compensate_columns(
+        coefficients(calibration), columns.gyro_rad_s, columns.accel_m_s2, temperature, time_s
+    )
+    return dataclasses.replace(columns, gyro_rad_s=gyro, accel_m_s2=accel)
+
+
+def _silent(stage: str, share: float) -> None:
+    del stage, share
