@@ -285,7 +285,15 @@ class ViewerSettings:
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """All settings of the service."""
+    """All settings of the service, each part with its defaults.
+
+    >>> from ahrs_service import Estimator, Settings, load_settings
+    >>> from ahrs_service.settings import FusionSettings
+    >>> estimator = Estimator(Settings(fusion=FusionSettings(airframe="multirotor")))
+    >>> settings = load_settings(profile="fixed_wing", overrides=["gate.norm_m_s2=0.4"])
+    >>> settings.fusion.airframe, settings.gate.norm_m_s2
+    ('fixed_wing', 0.4)
+    """
 
     __pydantic_config__: ClassVar = _STRICT
     intake: IntakeSettings = field(default_factory=IntakeSettings)

@@ -98,9 +98,12 @@ def test_random_numbers_have_a_seed():
 
 
 def test_package_files_hold_a_docstring_only():
+    """All but the front door, whose names load when they are first used."""
     packages = [path for path in MODULES if path.name == "__init__.py"]
     assert {path.parent.name for path in packages} >= set(PACKAGES)
     for path in packages:
+        if path == ROOT / "ahrs_service" / "__init__.py":
+            continue
         (only,) = tree_of(path).body
         assert isinstance(only, ast.Expr), name_of(path)
         assert isinstance(only.value, ast.Constant), name_of(path)

@@ -174,7 +174,18 @@ class Whiteness:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """The whole answer. `noise` the fitted hyperparameters by name."""
+    """The whole answer. `noise` the fitted hyperparameters by name.
+
+    `as_json` gives it as plain tables and lists.
+
+    >>> from ahrs_service import diagnose
+    >>> diagnosis = diagnose("bench.tlog")
+    >>> diagnosis.verdict
+    'explained'
+    >>> (finding,) = diagnosis.findings
+    >>> finding.effect, finding.parameters["scale_error"].unit
+    ('gyro_scale_factor', '1')
+    """
 
     verdict: Verdict
     findings: tuple[Finding, ...]

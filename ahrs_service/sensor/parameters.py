@@ -174,6 +174,14 @@ class Calibration:
     `uid` is how the autopilot that holds it names itself: AUTOPILOT_VERSION.uid2 or uid as
     lower-case hex digits; `imu` which of its IMUs it is, from 0 on, None for whichever is in use.
     `source` is free text. `room_degc` is where all drift is zero [degC].
+
+    >>> from ahrs_service import Calibration, Estimator
+    >>> from ahrs_service.sensor.parameters import TriadCalibration
+    >>> known = Calibration(gyro=TriadCalibration(bias=(0.01, 0.0, -0.02)))
+    >>> estimator = Estimator(calibration=known)
+    >>> estimate = estimator.update(0.0, gyr=(0.01, 0.0, 0.08), acc=(0.0, 0.0, -9.81))
+    >>> estimate["rate_rad_s"].round(6)
+    array([0. , 0. , 0.1])
     """
 
     __pydantic_config__: ClassVar = _STRICT

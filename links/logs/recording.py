@@ -31,6 +31,13 @@ class Recording:
     `damaged` frames or bytes that could not be read, by reason; `notes` facts for the user;
     `unit` the number of the autopilot's board (links.component.unit_request), empty if not known;
     `clock_rate` by how much the log's own stamps were stretched to be seconds (1.0: not at all).
+
+    >>> from ahrs_service import as_columns, read_recording
+    >>> recording = read_recording("flight.tlog")
+    >>> [reference.name for reference in recording.references]
+    ['SIM_STATE', 'ATTITUDE_QUATERNION', 'ATTITUDE']
+    >>> list(as_columns(recording.readings))[:3]
+    ['received_ns', 'time_ns', 'gyro_rad_s_x']
     """
 
     path: Path

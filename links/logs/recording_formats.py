@@ -31,7 +31,13 @@ def reader_for(path: Path) -> Reader:
 
 
 def read_recording(path: str | Path, progress: Callable[[float], None] | None = None) -> Recording:
-    """Read a recording of any known format; `progress` is called with the share read, 0 to 1."""
+    """Read a recording of any known format; `progress` is called with the share read, 0 to 1.
+
+    >>> from ahrs_service import read_recording
+    >>> recording = read_recording("flight.tlog")
+    >>> recording.format
+    'tlog'
+    """
     path = Path(path)
     if path.is_dir():
         raise RecordingError(f"{path}: is a folder; give a recording: {KNOWN}")

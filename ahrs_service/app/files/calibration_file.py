@@ -16,7 +16,13 @@ SUFFIX: Final = ".toml"
 
 
 def load(path: str | Path) -> Calibration:
-    """Read a calibration; ConfigError names the file, the field, the value and what to do."""
+    """Read a calibration; ConfigError names the file, the field, the value and what to do.
+
+    >>> from ahrs_service import Estimator, load_calibration
+    >>> estimator = Estimator(calibration=load_calibration("unit.toml"))
+    >>> estimator.calibration.serial
+    'A0042'
+    """
     return toml_file.read_as(Path(path), Calibration)
 
 
