@@ -7,7 +7,7 @@ difference to a single byte of the estimates.
 import hashlib
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -119,6 +119,7 @@ class Estimator:
         The result is a view that the next call overwrites; `positions` tells for each estimate
         which reading it came of.
         """
+        readings = _as_kernels_take_it(readings, READING_DTYPE)
         if len(readings) > len(self._samples):
             self._reserve(len(readings))
         count = intake.select(
@@ -144,6 +145,7 @@ class Estimator:
         >>> Estimator().run(samples)["attitude_sigma_rad"].shape
         (300, 3)
         """
+        samples = _as_kernels_take_it(samples, SAMPLE_DTYPE)
         estimates = empty(ESTIMATE_DTYPE, len(samples))
         if len(samples):
             self._fill(samples, estimates)
@@ -224,6 +226,17 @@ class Estimator:
         self._intake_state, self._pipeline_state = intake_state, pipeline_state
         if self._smoother is not None:
             self._smoother.cut()
+
+
+def _as_kernels_take_it(rows: Rows, dtype: np.dtype[Any]) -> Rows:
+    """Return `rows` [N] of `dtype`, copied where their layout would compile all kernels anew."""
+    if rows.dtype != dtype or rows.ndim != 1:
+        known = "READING_DTYPE" if dtype == READING_DTYPE else "SAMPLE_DTYPE"
+        raise InvalidValueError(
+            f"an array {list(rows.shape)} of {rows.dtype} is given; give rows [N] of "
+            f"ahrs_service.records.{known}"
+        )
+    return rows if rows.flags.c_contiguous and rows.flags.writeable else rows.copy()
 
 
 def _vector(name: str, value: Sequence[float] | Floats) -> Floats:

@@ -18,13 +18,18 @@ from ahrs_service import (
     Estimator,
     Settings,
     as_columns,
+    diagnose,
     errors,
     estimate,
     read_recording,
 )
 from ahrs_service.app.cli import main
+from ahrs_service.app.diagnose.recorded_columns import read_columns
 from ahrs_service.app.files import config_file
-from ahrs_service.errors import ConfigError, InvalidValueError
+from ahrs_service.app.prove.blind_files import case_bytes
+from ahrs_service.blind.case import Request, make
+from ahrs_service.diagnosis.input.diagnosis_input import Recorded, Series
+from ahrs_service.errors import ConfigError, DiagnosisError, InvalidValueError
 from ahrs_service.records import ESTIMATE_DTYPE, READING_DTYPE, SAMPLE_DTYPE, empty
 from ahrs_service.rotation import euler_columns
 from ahrs_service.sensor.parameters import TriadCalibration
@@ -169,6 +174,22 @@ def test_update_refuses_what_is_no_sample(words, match):
         Estimator().update(**words)
 
 
+def test_a_view_of_samples_and_one_that_cannot_be_written_are_taken():
+    samples = moving(400)
+    expected = Estimator().run(samples[::2].copy())
+    view = samples[::2]
+    view.flags.writeable = False
+    assert Estimator().run(view).tobytes() == expected.tobytes()
+
+
+@pytest.mark.parametrize(
+    "rows", [np.zeros((5, 6)), empty(READING_DTYPE, 3), moving(4).reshape(2, 2)]
+)
+def test_run_refuses_what_are_no_samples(rows):
+    with pytest.raises(InvalidValueError, match=r"give rows \[N\] of ahrs_service.records.SAMPLE"):
+        Estimator().run(rows)
+
+
 # -- estimate ---------------------------------------------------------------------------------
 
 
@@ -285,6 +306,28 @@ def test_a_log_becomes_a_table_of_estimates(simulated_tlog):
     np.testing.assert_array_equal(
         columns["yaw_rad"], euler_columns(estimates["ned_from_body"])[:, 2]
     )
+
+
+# -- diagnose ---------------------------------------------------------------------------------
+
+
+def test_columns_are_diagnosed_as_their_recording_is(tmp_path):
+    path = tmp_path / "bench.tlog"
+    request = Request("bench", "bench", 5, 40, level=3, effects=("gyro_scale_factor",))
+    path.write_bytes(case_bytes(make(request)))
+    told = []
+    of_file = diagnose(path, advance=lambda stage, share: told.append((stage, share)))
+    of_columns = diagnose(read_columns(path))
+    assert of_columns.findings == of_file.findings
+    assert {stage for stage, _ in told} == {"reading", "searching"}
+    assert [share for _, share in told] == sorted(share for _, share in told)
+
+
+def test_columns_without_a_reference_are_refused():
+    time_s = 0.01 * np.arange(500)
+    still = np.zeros((500, 3))
+    with pytest.raises(DiagnosisError, match="0 attitudes beside the IMU's samples are too few"):
+        diagnose(Recorded("own", time_s, still, still, Series(), Series()))
 
 
 # -- errors -----------------------------------------------------------------------------------

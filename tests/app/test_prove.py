@@ -74,7 +74,7 @@ def test_what_cannot_be_scored_is_refused(cases, tmp_path, capsys):
     assert "no NAME.report.json" in capsys.readouterr().err
     (cases / "bias.report.json").write_text("[]")
     assert main(["prove", "--cases", str(cases), "--reports", str(cases)]) == 1
-    assert "no verdict" in capsys.readouterr().err
+    assert "no table of fields" in capsys.readouterr().err
     assert main(["prove", "--cases", str(tmp_path)]) == 1
     assert "no NAME.tlog" in capsys.readouterr().err
     (tmp_path / "a.tlog").write_bytes(b"")

@@ -59,8 +59,9 @@ def read_as(path: Path, kind: type[_T]) -> _T:
 
 def validate(document: Mapping[str, Any], kind: type[_T], origin: str) -> _T:
     """Return a dataclass of nested dictionaries; ConfigError names `origin`, field and value."""
+    any_kind: Any = kind
     try:
-        checked: _T = _adapter(kind).validate_python(document)
+        checked: _T = _adapter(any_kind).validate_python(document)
     except ValidationError as error:
         lines = (_line(problem, kind, origin) for problem in error.errors())
         raise ConfigError("\n".join(lines)) from None

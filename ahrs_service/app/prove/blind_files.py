@@ -5,9 +5,10 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
+from ahrs_service.app.files import toml_file
 from ahrs_service.blind.case import Case
 from ahrs_service.blind.messages import tables
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import ConfigError, RecordingError
 from ahrs_service.links.mavlink.frame_columns import MessageColumns, tlog_bytes
 
 TRUTH_SUFFIX: Final = ".truth.json"
@@ -44,15 +45,7 @@ def seal(truths: Path) -> str:
 
 def read_truth(path: Path) -> dict[str, Any]:
     """Read a truth file; RecordingError says what is wrong with it."""
-    try:
-        truth = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise RecordingError(f"{path}: {error.strerror}; check the path of the truth") from error
-    except ValueError as error:
-        raise RecordingError(f"{path}: {error}; a truth is JSON beside its .tlog") from error
-    if not isinstance(truth, dict) or not {"kind", "level", "effects"} <= truth.keys():
-        raise RecordingError(f"{path}: no kind, level and effects; see shared mismatch cases")
-    return truth
+    return _read_table(path, ("kind", "level", "effects"), "a truth")
 
 
 def truths_of(folder: Path) -> Path:
@@ -83,10 +76,18 @@ def read_report(folder: Path, name: str) -> dict[str, Any] | None:
     path = folder / f"{name}{REPORT_SUFFIX}"
     if not path.is_file():
         return None
+    return _read_table(path, ("verdict", "effects", "unexplained"), "a report of ahrs-mismatch/1")
+
+
+def _read_table(path: Path, fields: tuple[str, ...], what: str) -> dict[str, Any]:
+    """Read a JSON file with `fields`; RecordingError says what is wrong with it."""
     try:
-        report = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise RecordingError(f"{path}: {error}; a report is JSON") from error
-    if not isinstance(report, dict) or not {"verdict", "effects", "unexplained"} <= report.keys():
-        raise RecordingError(f"{path}: no verdict, effects and unexplained of ahrs-mismatch/1")
-    return report
+        table = toml_file.parse_json(path.read_bytes(), str(path))
+    except OSError as error:
+        raise RecordingError(f"{path}: {error.strerror}; check the path of {what}") from None
+    except ConfigError as error:
+        raise RecordingError(f"{error}; give {what}") from None
+    missing = [field for field in fields if field not in table]
+    if missing:
+        raise RecordingError(f"{path}: {', '.join(missing)}: is missing; give {what}")
+    return table
