@@ -15,7 +15,7 @@ from ahrs_service.links.component.status_texts import StatusTexts
 from ahrs_service.links.component.timesync import TimeSync
 from ahrs_service.links.component.trim_request import TrimRequest
 from ahrs_service.links.component.unit_request import UnitRequest
-from ahrs_service.links.component.vehicle_adoption import Neighbours, Sender, Traffic
+from ahrs_service.links.component.vehicle_adoption import Sender, Traffic, VehicleAdoption
 from ahrs_service.links.mavlink.codec import dialect
 from ahrs_service.records import Phase, Record
 from ahrs_service.settings import Settings
@@ -51,7 +51,7 @@ class Component:
         self.component = settings.link.component
         self.timesync = TimeSync()
         self.intervals = Intervals(_wanted(settings))
-        self._neighbours = Neighbours(settings)
+        self._neighbours = VehicleAdoption(settings)
         self._parameters = ParameterServer(settings)
         self._publisher = Publisher(settings.publish)
         self._events: deque[tuple[str, str]] = deque(maxlen=_EVENTS)

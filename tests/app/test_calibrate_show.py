@@ -49,7 +49,7 @@ def test_bias_and_scale_are_those_of_the_model():
 
 
 def test_the_scale_of_an_improved_model_follows_its_b():
-    """N = (A + B + c) / (1 - b) where a is nil: the scale is b / (1 - b)."""
+    """N = (A + B + c) / (1 - b) where a is zero: the scale is b / (1 - b)."""
     triad = TriadCalibration(b=Curve.linear((0.0, 50.0), ((0.0,) * 3, (0.01, -0.01, 0.0))))
     _, scale = response(Calibration(accel=triad), "accel", np.array([25.0]))
     np.testing.assert_allclose(scale[0], (0.005 / 0.995, -0.005 / 1.005, 0.0), atol=1e-14)

@@ -24,7 +24,7 @@ NODES = np.linspace(-20.0, 60.0, 41)
 
 
 def drift(*sizes):
-    """A drift that bends, nil at 25 degC."""
+    """A drift that bends, zero at 25 degC."""
     shape = np.tanh((NODES - 15.0) / 15.0) - np.tanh(10.0 / 15.0)
     return Curve.linear(NODES, shape[:, None] * np.array(sizes))
 

@@ -325,7 +325,7 @@ def test_a_state_that_cannot_be_used_changes_nothing(readings: Any) -> None:
     saved = estimator.save()
     at_source = saved_offset("source", pipeline=False)
     at_phase, at_states, at_place, at_turn = map(
-        saved_offset, ("phase", "states", "history_next", "turn_s")
+        saved_offset, ("phase", "states", "history_next", "update_s")
     )
     not_a_number = struct.unpack("<q", struct.pack("<d", math.nan))[0]
     bad = [

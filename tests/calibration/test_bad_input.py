@@ -96,7 +96,7 @@ def test_turns_at_the_end_of_the_range_are_left_out(bench):
     gyro = columns.gyro_rad_s.copy()
     gyro[:, 0] = np.clip(gyro[:, 0], -1.0, 1.0)
     clipped = replace(columns, gyro_rad_s=gyro)
-    turns = known_rotations.find_turns(clipped, find_poses(clipped), ideal(), 360.0)
+    turns = known_rotations.find_rotations(clipped, find_poses(clipped), ideal(), 360.0)
     assert len(turns.truth) == 4
     assert len(turns.left_out) == 2
     assert "ran into the end of its range, so it does not count: turn more" in turns.left_out[0]
@@ -144,13 +144,13 @@ def test_a_turn_about_another_axis_than_the_vertical_is_told(bench):
     swapped = replace(columns, gyro_rad_s=columns.gyro_rad_s[:, [2, 1, 0]])
     poses = find_poses(swapped)
     with pytest.raises(CalibrationError, match="z was vertical by the accelerometer, but the gyro"):
-        known_rotations.find_turns(swapped, poses, ideal(), 360.0)
+        known_rotations.find_rotations(swapped, poses, ideal(), 360.0)
 
 
 def test_a_turn_that_is_no_multiple_is_told(bench):
     columns, _ = bench("six-position", 100.0)
     poses = find_poses(columns)
-    turns = known_rotations.find_turns(columns, poses, ideal(), 250.0)
+    turns = known_rotations.find_rotations(columns, poses, ideal(), 250.0)
     assert len(turns.truth) == 0
     assert len(turns.left_out) == 6
     assert "deg, which is no multiple of 250 deg, so it does not count" in turns.left_out[0]

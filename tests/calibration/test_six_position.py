@@ -76,7 +76,7 @@ def test_full_circles_give_the_gyros(bench):
     columns, flight = bench("six-position", 120.0)
     poses = find_poses(columns)
     accel = fit_accelerometer(poses)
-    turns = known_rotations.find_turns(columns, poses, accel, 360.0)
+    turns = known_rotations.find_rotations(columns, poses, accel, 360.0)
     assert len(turns.truth) == 6
     assert np.linalg.norm(turns.truth, axis=1) == pytest.approx(2 * math.pi)
     assert turns.left_out == ()

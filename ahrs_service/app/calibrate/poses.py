@@ -13,7 +13,7 @@ from ahrs_service.records import Rows
 
 LEAST_HZ: Final = 1.0
 """Slower samples have no window of eight in any pose that a person would hold."""
-LEAST_TURN_HZ: Final = 20.0
+LEAST_ROTATION_HZ: Final = 20.0
 """Slower gyros lose the course of a turn by hand, which lasts about a second."""
 
 _WARM_K: Final = 3.0

@@ -74,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
             )
         axes.append(_axis(parts[0]))
         captures.append(capture.read_capture(Path(parts[1]), settings))
-        capture.check_rate(captures[-1], poses.LEAST_TURN_HZ, "following the table")
+        capture.check_rate(captures[-1], poses.LEAST_ROTATION_HZ, "following the table")
         check_saturation(captures[-1].columns)
         encoders += parts[2:]
     if arguments.rates:

@@ -34,7 +34,7 @@ class Choice:
         return f"calibration {self.path}: {', '.join(parts)}{doubt}"
 
 
-class CalibrationShelf:
+class CalibrationStore:
     """The calibrations that the settings offer.
 
     To make one raises ConfigError for a path that cannot be read, and, where the settings name a

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ahrs_service.app.files import calibration_file, config_file
-from ahrs_service.app.files.calibration_choice import CalibrationShelf
+from ahrs_service.app.files.calibration_choice import CalibrationStore
 from ahrs_service.app.live.observer import Observer
 from ahrs_service.app.live.statistics import Session
 from ahrs_service.estimator import Estimator, compile_kernels
@@ -69,7 +69,7 @@ class Daemon:
         self.settings = settings
         self.session = Session()
         self.health = HealthMonitor()
-        self._shelf = CalibrationShelf(settings.sensor)
+        self._shelf = CalibrationStore(settings.sensor)
         self.calibration = self._shelf.choose("")
         known = None if self.calibration is None else self.calibration.calibration
         self.estimator = Estimator(settings, known)

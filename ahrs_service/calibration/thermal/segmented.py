@@ -57,7 +57,7 @@ def fit_improved(
     """Fit E_T (Liu et al., eq. (3)); `matrix` K and `bias` B are those of room temperature."""
     basis = segment_basis(rows, continuous)
     moved = rows.output - _room_outputs(rows, room_degc)[rows.level]
-    # A table that jumps is nil at room temperature by its fit: a mean over the whole segment.
+    # A table that jumps is zero at room temperature by its fit: a mean over the whole segment.
     if continuous:
         functions = basis.zeroed(rows.temperature_degc, room_degc)
     else:
