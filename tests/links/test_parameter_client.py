@@ -26,6 +26,7 @@ from ahrs_service.links.simulated.autopilot_parameters import (
     ardupilot_ins,
     px4_calibration,
 )
+from tests.hang import HANG_S
 
 INT8 = int(dialect.MAV_PARAM_TYPE_INT8)
 
@@ -58,7 +59,7 @@ async def conversation(live, folder, kind="udpin", autopilot=ARDUPILOT, limits=N
 
 def run(scenario):
     async def limited():
-        async with asyncio.timeout(20.0):
+        async with asyncio.timeout(HANG_S):
             await scenario()
 
     asyncio.run(limited())
