@@ -6,7 +6,7 @@ import os
 import subprocess
 
 from ahrs_service.app.cli import main
-from tests.app.test_calibrate_session import COMMAND, HANG_S, ROOT, fly, free_port, until
+from tests.app.test_calibrate_session import COMMAND, ROOT, fly, free_port, until
 from tests.app.test_calibrate_thermal import warm_up
 from tests.hang import HANG_S
 
