@@ -96,6 +96,8 @@ def test_a_finding_is_a_paragraph_that_a_pilot_understands():
     assert "It shows from 60 s to 150 s (vibration above 2 m/s^2)." in words
     assert "gains 412 nats" in words
     assert "cannot tell it from accelerometer: bias that follows the battery current" in words
+    assert "Added to the reading: k sigma_vib^2." in words
+    assert "It is often taken for accelerometer: bias that follows the temperature." in words
     assert "To be sure: run the motors without propellers." in words
     assert "cannot be compensated live: it needs the level of vibration" in words
     can = text.live_text("gyro_scale_factor")
