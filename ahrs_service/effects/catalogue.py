@@ -36,6 +36,8 @@ The order decides nothing but which random numbers an effect gets in the bootstr
 (diagnosis.search.search_threshold). It is kept, so that a diagnosis stays as it was.
 """
 
+_SAID: Final = ("name", "triads", "title", "equation", "excited_by", "separated_by")
+
 
 def _kinds() -> Iterator[type[Effect]]:
     """Yield the effects of every file of this package."""
@@ -66,14 +68,20 @@ EFFECTS: Final[dict[str, Effect]] = {
 def register(kind: type[Kind]) -> type[Kind]:
     """Make the effects of a class known that is not in this package; use it as a decorator.
 
-    ValueError where one of its ids is another's already.
+    ValueError names what the class does not say, or an id that is another's already.
 
         @register
+        @dataclass(frozen=True)
         class Magnetostriction(Effect): ...
     """
+    unsaid = [name for name in _SAID if not hasattr(kind, name)]
+    if unsaid:
+        raise ValueError(f"{kind.__name__} has no {', '.join(unsaid)}; see effects.base.Effect")
     for effect in (kind(triad) for triad in kind.triads):
         if EFFECTS.get(effect.id, effect) != effect:
-            raise ValueError(f"{effect.id} is {type(EFFECTS[effect.id])}; give another name")
+            raise ValueError(
+                f"{effect.id} is a {type(EFFECTS[effect.id]).__name__}; give another name"
+            )
         EFFECTS[effect.id] = effect
     return kind
 
@@ -97,6 +105,6 @@ def often_taken_for(effect: Effect) -> tuple[str, ...]:
     `Effect.taken_for` holds ids, or names of the effect's own triad; those of the other triad alone
     are left out.
     """
-    ids = (f"{effect.triad}_{name}" if name not in EFFECTS else name for name in effect.taken_for)
-    known = (EFFECTS[identifier] for identifier in ids)
+    ids = (name if name in EFFECTS else f"{effect.triad}_{name}" for name in effect.taken_for)
+    known = (EFFECTS[identifier] for identifier in ids if identifier in EFFECTS)
     return tuple(one.id for one in known if effect.acts_on(one.triad) or one.acts_on(effect.triad))

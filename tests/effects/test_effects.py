@@ -122,6 +122,8 @@ def test_what_an_effect_is_often_taken_for_acts_on_the_same_sensor(name):
     others = [effect_of(one) for one in often_taken_for(effect)]
     assert others
     assert effect not in others
+    for one in effect.taken_for:
+        assert one in EFFECTS or f"{effect.triad}_{one}" in EFFECTS, one
     assert all("imu" in (effect.triad, one.triad) or one.triad == effect.triad for one in others)
 
 

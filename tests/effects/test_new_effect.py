@@ -5,7 +5,9 @@ calibration that takes it away again.
 """
 
 import json
+from contextlib import redirect_stdout
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import ClassVar
 
@@ -48,18 +50,13 @@ seconds = 6.0
 throttle = 1.0
 is_airborne = false
 [[phases]]
-name = "climb"
-seconds = 15.0
-climb_deg = 8.0
-throttle = 0.9
-[[phases]]
 name = "turn to the right"
-seconds = 25.0
+seconds = 15.0
 roll_deg = 40.0
 throttle = 0.75
 [[phases]]
 name = "turn to the left"
-seconds = 25.0
+seconds = 15.0
 roll_deg = -40.0
 throttle = 0.75
 is_closing = true
@@ -103,7 +100,7 @@ class ThermalCubic(Effect):
 
 
 @dataclass(frozen=True)
-class StampedByThrottle(Effect):
+class ThrottlePush(Effect):
     """A kind that says no more than it must: it can be simulated, and not be compensated live."""
 
     triads: ClassVar[tuple[str, ...]] = ("accel",)
@@ -125,10 +122,10 @@ class StampedByThrottle(Effect):
 @pytest.fixture(scope="module", autouse=True)
 def registered():
     before = tuple(EFFECTS)
-    for kind in (ThermalCubic, StampedByThrottle):
+    for kind in (ThermalCubic, ThrottlePush):
         assert register(kind) is kind
     yield
-    for kind in (ThermalCubic, StampedByThrottle):
+    for kind in (ThermalCubic, ThrottlePush):
         forget(kind)
     assert tuple(EFFECTS) == before
 
@@ -146,10 +143,13 @@ def diagnosed(tmp_path_factory):
     (folder / "flight.toml").write_text(FLIGHT)
     flight = folder / "flight.tlog"
     words = ["--script", str(folder / "flight.toml"), "--twin", str(folder / "true.toml")]
-    assert main(["simulate", *words, "--tlog", str(flight)]) == 0
+    assert main(["simulate", *words, "--rate", "250", "--tlog", str(flight)]) == 0
     files = {"json": "report.json", "write-twin": "twin.toml", "write-calibration": "cal.toml"}
     words = [word for option, name in files.items() for word in (f"--{option}", str(folder / name))]
-    assert main(["diagnose", str(flight), "--html", str(folder / "report.html"), *words]) == 0
+    said = StringIO()
+    with redirect_stdout(said):
+        assert main(["diagnose", str(flight), *words]) == 0
+    (folder / "said.txt").write_text(" ".join(said.getvalue().split()))
     return folder
 
 
@@ -160,9 +160,10 @@ def test_it_is_found_by_name_and_measured(diagnosed):
     cubic = found["parameters"]["cubic"]
     assert (np.abs(np.array(cubic["value"]) - CUBIC) < 4.0 * np.array(cubic["std"])).all()
     assert np.abs(np.array(cubic["value"]) / CUBIC - 1.0).max() < 0.05
-    page = (diagnosed / "report.html").read_text()
-    assert "k (T - T0)^3" in page
-    assert "The estimator can compensate it live" in page
+    said = (diagnosed / "said.txt").read_text()
+    assert "most on x: bias that bends with the temperature" in said
+    assert "Added to the reading: k (T - T0)^3." in said
+    assert "The estimator can compensate it live" in said
 
 
 def test_the_twin_written_holds_it(diagnosed):
@@ -210,9 +211,19 @@ def test_a_name_that_is_taken_is_refused():
     class Another(ThermalCubic):
         name: ClassVar[str] = "thermal_bias"
 
-    with pytest.raises(ValueError, match="gyro_thermal_bias is"):
+    with pytest.raises(ValueError, match="gyro_thermal_bias is a ThermalBias"):
         register(Another)
     assert effect_of("gyro_thermal_bias").title == "bias that follows the temperature"
+
+
+def test_an_effect_that_does_not_say_what_it_must_is_refused():
+    class Mute(Effect):
+        name: ClassVar[str] = "mute"
+        triads: ClassVar[tuple[str, ...]] = ("gyro",)
+
+    with pytest.raises(ValueError, match="Mute has no title, equation, excited_by, separated_by"):
+        register(Mute)
+    assert "gyro_mute" not in EFFECTS
 
 
 def test_a_new_file_beside_the_others_is_found(tmp_path, monkeypatch):
