@@ -51,7 +51,7 @@ def _patience_s(attempt: int) -> float:
 class ParameterClient:
     """An open conversation with one autopilot; use it in `async with`.
 
-    `say` receives what the link reports. The first autopilot heard (HEARTBEAT.autopilot) is the one,
+    `say` receives what the link reports. The first autopilot heard (by HEARTBEAT) is the one,
     or that of `system`; `autopilot`, `system` and `component` are known inside the `async with`,
     and `others` are the systems of further autopilots heard. Every failure is a ParamError that
     says what to do.
