@@ -173,7 +173,7 @@ def test_nobody_there_and_a_vehicle_that_falls_silent_are_reported(live, tmp_pat
     async def scenario():
         async with conversation(live, tmp_path) as (client, far):
             far.is_dead = True
-            with pytest.raises(ParamError, match="fell silent before it told INS_ACCOFFS_X"):
+            with pytest.raises(ParamError, match="fell silent before it sent INS_ACCOFFS_X"):
                 await client.read(["INS_ACCOFFS_X"])
             with pytest.raises(ParamError, match=r"INS_ACCOFFS_X = 1\.0: no answer"):
                 await client.write("INS_ACCOFFS_X", ParamValue(1.0))
