@@ -43,8 +43,8 @@ class Holds:
     """Means over holds [N] of HOLD_S: what the unit gave, what it was meant to feel, and felt.
 
     `thermometer_degc` [N, M] is what the thermometer showed at each sample, `temperature_degc` [N]
-    the mean of it; `hold` [N] numbers what the table was told, alike for like commands; `is_still`
-    [N] where the table stood. The `true_` columns are for judging alone.
+    the mean of it; `hold` [N] numbers what the table was commanded, alike for like commands;
+    `is_still` [N] where the table stood. The `true_` columns are for judging alone.
     """
 
     time_s: Floats

@@ -173,6 +173,6 @@ def test_an_interrupted_session_loses_nothing(clumsy, tmp_path, capsys):
     assert str(tlog) in rest.decode(errors="replace").replace("\r\n", "")
     assert not any(read_tlog(tlog).damaged.values())
     assert main(["calibrate", "six-position", str(tlog)]) == 1
-    told = capsys.readouterr().err
-    assert "put the unit on each of its six faces" in told
-    assert "-z up" not in told.split("none of them with")[1].split("up:")[0]
+    printed = capsys.readouterr().err
+    assert "put the unit on each of its six faces" in printed
+    assert "-z up" not in printed.split("none of them with")[1].split("up:")[0]

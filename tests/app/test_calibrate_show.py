@@ -119,7 +119,7 @@ def test_a_verdict_against_it_is_said_and_the_file_still_shown(tmp_path, capsys)
 
 
 @pytest.mark.parametrize("option", ["--png", "--rrd"])
-def test_a_place_that_cannot_be_written_is_told(option, tmp_path, capsys):
+def test_a_place_that_cannot_be_written_is_reported(option, tmp_path, capsys):
     place = tmp_path / "nowhere" / "out"
     assert main(["calibrate", "show", str(SHIPPED), option, str(place)]) == 2
     error = capsys.readouterr().err

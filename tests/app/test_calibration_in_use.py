@@ -255,7 +255,7 @@ def test_who_wants_no_calibration_hears_of_none(live, flight_frames, tmp_path, c
     assert not [text for text in warnings if "no calibration for unit" in text]
 
 
-def test_a_file_of_another_unit_is_used_as_told_and_warned_of(live, flight_frames, tmp_path):
+def test_a_file_of_another_unit_is_used_as_reported_and_warned_of(live, flight_frames, tmp_path):
     frames = [flight_frames[0], version(b"", 0xAB), *flight_frames[1:500]]
     sensor = SensorSettings(calibration=str(SHIPPED / "sim-1.toml"))
     served = serve(live, tmp_path, sensor, frames)

@@ -95,7 +95,7 @@ def test_a_signal_ends_it_with_whole_files_and_nothing_left_behind(number, code,
     assert (folder / "flight.rrd").stat().st_size > 0
 
 
-def test_what_cannot_be_flown_is_told_before_anything_is_made(tmp_path, capsys):
+def test_what_cannot_be_flown_is_reported_before_anything_is_made(tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["demo", "--out", str(out), "--scenario", "moon"]) == 2
     assert "--scenario moon: choose one of flight" in capsys.readouterr().err

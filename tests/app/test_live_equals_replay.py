@@ -181,7 +181,7 @@ def param_value(name: str, value: float) -> bytes:
 
 
 @pytest.mark.parametrize("rotate_mb", [0.0, 0.02])
-def test_a_trim_that_is_told_in_flight(
+def test_a_trim_that_is_reported_in_flight(
     rotate_mb: float, live: SimpleNamespace, flight_frames: list[bytes], tmp_path: Path
 ) -> None:
     folder = tmp_path / "flights"

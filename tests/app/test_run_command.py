@@ -171,7 +171,7 @@ def test_a_reader_of_the_log_that_goes_away_ends_no_flight(start, flight_frames,
     assert len(replay_log(tmp_path / "flight.tlog").estimates) > 400
 
 
-def test_it_ends_by_itself_when_told(start):
+def test_it_ends_by_itself_when_reported(start):
     running = start("--seconds", "0.05", "--quiet")
     running.until_said(b"closed")
     assert running.process.wait(HANG_S) == 0
@@ -266,7 +266,7 @@ def test_errors_are_clear(arguments, code, says, files, capsys):
         (["demo", "--seconds", "-1"], "-1 is not a number above 0"),
     ],
 )
-def test_wrong_usage_is_told(arguments, says, capsys):
+def test_wrong_usage_is_reported(arguments, says, capsys):
     with pytest.raises(SystemExit) as ended:
         main(arguments)
     assert ended.value.code == 2

@@ -137,7 +137,7 @@ def test_a_signal_ends_it_with_its_report():
         (["--rate", "50"], "loop of 50 Hz cannot"),
     ],
 )
-def test_what_cannot_be_flown_is_told(options, words, tmp_path, capsys):
+def test_what_cannot_be_flown_is_reported(options, words, tmp_path, capsys):
     assert main(["simulate", "--tlog", str(tmp_path / "x.tlog"), *options]) == 2
     assert words in capsys.readouterr().err
 
@@ -169,7 +169,7 @@ def test_a_script_is_flown_phase_by_phase(tmp_path):
         ("[[phases]", "not valid TOML"),
     ],
 )
-def test_a_script_that_cannot_be_flown_is_told(text, words, tmp_path, capsys):
+def test_a_script_that_cannot_be_flown_is_reported(text, words, tmp_path, capsys):
     script = tmp_path / "mine.toml"
     script.write_text(text)
     out = tmp_path / "x.tlog"

@@ -89,7 +89,7 @@ def still_rows(seed, keep=0.0, drift=0.4):
 
 
 @pytest.mark.parametrize("keep", [0.0, 0.8])
-def test_the_errors_told_are_the_scatter_of_the_fits(keep):
+def test_the_errors_reported_are_the_scatter_of_the_fits(keep):
     """Of 60 runs with noise white or coloured; without the colour the errors are 3 times small."""
     at = np.array([0.0, 40.0])
     structures = (Structure(bias=(3, 3)),) * 3

@@ -90,7 +90,7 @@ def test_a_velocity_with_every_sample_counts_no_more_than_that_of_a_receiver(fli
         assert (sigma_often > 0.7 * sigma).all()
 
 
-def test_the_wind_is_told_from_the_airspeed(flight):
+def test_the_wind_is_reported_from_the_airspeed(flight):
     samples = heard(flight)
     samples["airspeed_m_s"][::EVERY] = flight.rows["airspeed_m_s"][::EVERY]
     _, state = run(samples)

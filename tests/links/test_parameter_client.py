@@ -154,7 +154,7 @@ def test_a_value_that_is_clamped_comes_back_as_it_is(live, tmp_path):
     run(scenario)
 
 
-def test_a_refusal_by_message_is_told_by_its_name(live, tmp_path):
+def test_a_refusal_by_message_is_reported_by_its_name(live, tmp_path):
     async def scenario():
         async with conversation(live, tmp_path) as (client, far):
             error = dialect.MAVLink_param_error_message(
@@ -169,11 +169,11 @@ def test_a_refusal_by_message_is_told_by_its_name(live, tmp_path):
     run(scenario)
 
 
-def test_nobody_there_and_a_vehicle_that_falls_silent_are_told(live, tmp_path, monkeypatch):
+def test_nobody_there_and_a_vehicle_that_falls_silent_are_reported(live, tmp_path, monkeypatch):
     async def scenario():
         async with conversation(live, tmp_path) as (client, far):
             far.is_dead = True
-            with pytest.raises(ParamError, match="fell silent before it told INS_ACCOFFS_X"):
+            with pytest.raises(ParamError, match="fell silent before it sent INS_ACCOFFS_X"):
                 await client.read(["INS_ACCOFFS_X"])
             with pytest.raises(ParamError, match=r"INS_ACCOFFS_X = 1\.0: no answer"):
                 await client.write("INS_ACCOFFS_X", ParamValue(1.0))

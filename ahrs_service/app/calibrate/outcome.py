@@ -108,7 +108,7 @@ def updated(
 def unit_of(arguments: argparse.Namespace, captures: list[Capture]) -> Calibration:
     """Return what the file `--out` says so far, else an ideal calibration, of the captures' unit.
 
-    Serial, board and IMU are as told, as the file says, as the recordings tell. ConfigError where
+    Serial, board and IMU are as given, as the file says, as the recordings say. ConfigError where
     they are of different units, for the figures of one harm another.
     """
     path: Path | None = arguments.out

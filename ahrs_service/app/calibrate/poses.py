@@ -55,8 +55,8 @@ def _on_range(captures: list[Capture]) -> tuple[Finding, ...]:
 
 def on_autopilot(captures: list[Capture]) -> tuple[Finding, ...]:
     """Say what the autopilot had done to the samples before it recorded them."""
-    told = dict.fromkeys(text for capture in captures for text in capture.compensated)
-    return tuple(Finding(Level.WARNING, text) for text in told)
+    known = dict.fromkeys(text for capture in captures for text in capture.compensated)
+    return tuple(Finding(Level.WARNING, text) for text in known)
 
 
 def _on_temperature(poses: Rows) -> Finding:

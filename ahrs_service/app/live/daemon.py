@@ -246,7 +246,7 @@ class Daemon:
             self._say("info", "calibration: waiting for the autopilot to tell its unit")
 
     def _take_unit(self) -> None:
-        """Put the calibration of the unit that the autopilot told into force."""
+        """Put the calibration of the unit that the autopilot reported into force."""
         if self.calibration is None and not self._shelf.is_folder:
             return
         warning, choice = self._shelf.mismatch(self._unit), self._shelf.choose(self._unit)
@@ -352,7 +352,7 @@ def _signing_file() -> Path:
     home = os.environ.get("STATE_DIRECTORY") or os.environ.get("XDG_STATE_HOME")
     folder = Path(home) if home else Path.home() / ".local" / "state"
     path = folder / "ahrs-service" / "signing.json"
-    # Where this fails, so does writing the file, which is told when the service starts.
+    # Where this fails, so does writing the file, which is reported when the service starts.
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
     return path

@@ -79,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
     settings = options.settings_of(arguments)
     sensor = options.sensor_of(arguments, settings.sensor)
-    # What is wrong with it is told before a folder is made.
+    # What is wrong with it is reported before a folder is made.
     CalibrationStore(sensor)
     files = _files(arguments.out)
     settings = _with_places(dataclasses.replace(settings, sensor=sensor), files)

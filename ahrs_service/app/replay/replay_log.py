@@ -191,7 +191,7 @@ class _Replay:
                 "give --calibration FILE, or none"
             ) from None
         self.estimator.calibrate(calibration)
-        self.calibration = f"that of the recording, serial {calibration.serial or 'not told'}"
+        self.calibration = f"that of the recording, serial {calibration.serial or 'not known'}"
 
 
 def _marks(recording: Recording) -> list[tuple[int, Mark]]:
