@@ -1,0 +1,216 @@
+"""The documents: links that lead somewhere, commands that are understood, tables as the code is."""
+
+import argparse
+import ast
+import importlib
+import re
+import shlex
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from ahrs_service.app import cli
+from ahrs_service.app.replay.export import _schema
+from ahrs_service.effects.catalogue import EFFECTS
+from ahrs_service.links.component.component import _wanted
+from ahrs_service.links.component.parameters import PARAMETERS
+from ahrs_service.links.logs.recording_formats import READERS
+from ahrs_service.links.mavlink.reading_rules import RULES
+from ahrs_service.links.transport.registry import SCHEMES
+from ahrs_service.records import Flag, Gate, ImuSource, Phase
+from ahrs_service.settings import Settings
+
+ROOT = Path(__file__).resolve().parent.parent
+README = ROOT / "README.md"
+LINKS = (ROOT / "links" / "README.md").read_text()
+PLACES = [
+    ".", "configs", "links", "tests/benchmarks",
+    "ahrs_service/fusion", "ahrs_service/calibration", "ahrs_service/diagnosis",
+]  # fmt: skip
+READMES = [ROOT / place / "README.md" for place in PLACES]
+each_readme = pytest.mark.parametrize("path", READMES, ids=PLACES)
+
+
+def without_code(text):
+    return re.sub(r"```.*?```", "", text, flags=re.DOTALL)
+
+
+def anchors(path):
+    """Anchors of a document's headings, as GitHub makes them."""
+    headings = re.findall(r"^#+ (.*)$", without_code(path.read_text()), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def section(text, heading):
+    """Lines below a heading, up to the next one."""
+    found = re.search(rf"^#+ {re.escape(heading)}\n(.*?)(?=^#|\Z)", text, re.MULTILINE | re.DOTALL)
+    assert found is not None, heading
+    return found[1]
+
+
+def rows(text, heading):
+    """Cells of the first table below a heading, without its head."""
+    lines = [line for line in section(text, heading).splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+
+
+def words(cell):
+    """Names in a cell that holds several."""
+    return [word.strip("`") for word in cell.split(", ")]
+
+
+def test_the_front_page_is_short():
+    assert len(README.read_bytes()) < 10240
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert ROOT / project["readme"] == README
+
+
+def test_the_two_commands_stand_where_the_checks_look_for_them():
+    lines = README.read_text().splitlines()
+    begun = [line for line in lines if line.startswith("    python3 -m venv .venv && ")]
+    assert len(begun) == 2
+    assert begun[0].endswith(".venv/bin/ahrs-service demo")
+    assert begun[1].endswith(".venv/bin/python -m pytest")
+
+
+@each_readme
+def test_links_lead_somewhere(path):
+    targets = re.findall(r"\]\(([^)]+)\)", without_code(path.read_text()))
+    assert targets
+    for target in targets:
+        if target.startswith("https://"):
+            continue
+        name, _, anchor = target.partition("#")
+        there = (path.parent / name).resolve() if name else path
+        assert there.exists(), target
+        assert there.is_relative_to(ROOT), target
+        if anchor:
+            document = there / "README.md" if there.is_dir() else there
+            assert anchor in anchors(document), target
+
+
+@each_readme
+def test_scripts_that_are_named_exist(path):
+    for name in re.findall(r"tests/benchmarks/\w+\.py", path.read_text()):
+        assert (ROOT / name).is_file(), name
+
+
+@each_readme
+def test_no_line_of_prose_is_endless(path):
+    for line in path.read_text().splitlines():
+        assert line.startswith(("|", "![")) or len(line) <= 120, line
+
+
+@each_readme
+def test_no_document_speaks_of_a_machine(path):
+    for folder in (ROOT.parent, Path.home(), Path(sys.prefix)):
+        assert f"{folder}/" not in path.read_text()
+
+
+def shown_commands():
+    """Every command of ours in a block of shell, as words."""
+    for path in READMES:
+        for block in re.findall(r"```sh\n(.*?)```", path.read_text(), re.DOTALL):
+            for line in block.splitlines():
+                command = shlex.split(line, comments=True)
+                if command[:1] == ["ahrs-service"]:
+                    yield pytest.param(command[1:], id=line.split("#")[0].strip())
+
+
+@pytest.mark.parametrize("command", list(shown_commands()))
+def test_commands_that_are_shown_are_understood(command):
+    module = importlib.import_module(cli.COMMANDS[command[0]][0])
+    parser = argparse.ArgumentParser()
+    module.add_arguments(parser)
+    parser.parse_args(command[1:])
+
+
+def test_every_command_is_shown():
+    shown = " ".join(path.read_text() for path in READMES)
+    for name in cli.COMMANDS:
+        assert f"ahrs-service {name}" in shown, name
+
+
+@pytest.mark.parametrize(
+    ("heading", "codes"),
+    [("gate", Gate), ("flags", Flag), ("phase", Phase), ("source", ImuSource)],
+)
+def test_codes(heading, codes):
+    told = [(int(code), name) for code, name, _ in rows(LINKS, heading)]
+    assert told == [(value.value, name) for name, value in codes.__members__.items()]
+
+
+def test_columns_of_exports():
+    table = rows(LINKS, "Columns of CSV and Parquet")
+    told = {name: kind for names, kind, _, _ in table for name in words(names)}
+    assert told == {field.name: str(field.type) for field in _schema()}
+    for names, _, unit, _ in table:
+        plain = unit.replace("²", "2").replace("/", "_").lower()
+        assert unit in ("1", "code", "ns") or plain in names, names
+
+
+def test_messages_that_are_read():
+    told = {name for cells in rows(LINKS, "Messages received") for name in words(cells[0])}
+    assert set(RULES) <= told
+    component = (ROOT / "links" / "component" / "component.py").read_text()
+    handled = set(re.findall(r"MAVLINK_MSG_ID_(\w+)\): self\._on", component))
+    assert handled
+    assert handled <= told
+
+
+def test_messages_that_are_sent():
+    told = {name for cells in rows(LINKS, "Messages sent") for name in words(cells[0])}
+    sent = set()
+    for folder in ("component", "logs"):
+        for path in (ROOT / "links" / folder).glob("*.py"):
+            names = re.findall(r"MAVLink_(\w+)_message\(", path.read_text())
+            sent |= {name.upper() for name in names}
+    assert told == sent
+
+
+def test_messages_that_are_wanted():
+    text = section(LINKS, "Messages sent")
+    assert all(name in text for name in _wanted(Settings()))
+    link = Settings().link
+    assert link.component == 191
+    assert "component id 191" in text
+
+
+def test_parameters_and_their_ranges():
+    told = {
+        cells[0].strip("`"): (cells[1].strip("`"), *map(float, cells[2].split(" to ")))
+        for cells in rows(LINKS, "Parameters")
+    }
+    assert told == {
+        name: (f"{one.section}.{one.key}", one.low, one.high) for name, one in PARAMETERS.items()
+    }
+
+
+def test_links_and_formats():
+    uris = {cells[0].strip("`").partition(":")[0] for cells in rows(LINKS, "Link URIs")}
+    assert uris == set(SCHEMES)
+    assert {cells[0].strip("`") for cells in rows(LINKS, "Recordings read")} == set(READERS)
+
+
+def test_exit_codes():
+    told = {int(cells[0]) for cells in rows(LINKS, "Exit codes")}
+    found = set()
+    for path in (ROOT / "ahrs_service" / "app").rglob("*.py"):
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.AnnAssign) and ast.unparse(node.target).startswith("EXIT_"):
+                found.add(ast.literal_eval(node.value))
+    assert told == found
+
+
+def test_every_effect_is_in_the_table():
+    text = (ROOT / "ahrs_service" / "diagnosis" / "README.md").read_text()
+    told = {(cells[0].strip("`"), cells[1]) for cells in rows(text, "The effects")}
+    triads = {}
+    for effect in EFFECTS.values():
+        triads.setdefault(effect.name, set()).add(effect.triad)
+    plain = {"imu": "both", "gyro": "gyro", "accel": "accelerometer"}
+    assert told == {
+        (name, "each" if len(found) > 1 else plain[found.pop()]) for name, found in triads.items()
+    }
