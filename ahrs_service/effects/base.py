@@ -19,7 +19,7 @@ Values = Mapping[str, Floats]
 """Parameters of one effect by name, each an array of its parameter's shape (a number is [])."""
 
 REFERENCE_DEGC: Final = 25.0
-"""Where thermal effects are nil unless a twin says otherwise (MPU-6000 data sheet: at 25 degC)."""
+"""Where thermal effects are zero unless a twin says otherwise (MPU-6000 data sheet: at 25 degC)."""
 
 PER_AXIS: Final = (3,)
 MATRIX: Final = (3, 3)
@@ -64,7 +64,7 @@ class Parameter:
     """One parameter of an effect.
 
     `shape` () or (3,) or (3, 3); `plausible` the largest size that data sheets or measurements
-    give it, with `source`; `neutral` the value at which the effect is nil (NaN: not there at all);
+    give it, with `source`; `neutral` the value at which the effect is zero (NaN: not there at all);
     `step` a size at which the response is linear. Parameters that enter by their `grid` change
     the form of the response and are searched over, in whole numbers with `is_whole`; those without
     step or grid are conventions that keep their `default`. `is_off_diagonal` leaves the diagonal of
@@ -159,7 +159,7 @@ class Effect(ABC):
         return [{p.name: v for p, v in zip(forms, point, strict=True)} for point in points]
 
     def neutral(self) -> dict[str, Floats]:
-        """Return parameters at which the effect is nil."""
+        """Return parameters at which the effect is zero."""
         return {
             p.name: np.full(p.shape, p.neutral if p.step or p.grid else p.default)
             for p in self.parameters
@@ -188,7 +188,7 @@ class Effect(ABC):
 def apply(columns: Columns, effects: list[tuple[Effect, Values]]) -> tuple[Floats, Floats]:
     """Return the readings (gyro [N, 3], accel [N, 3]) of an IMU with these effects.
 
-    Every effect acts on the ideal reading, and the additions are summed. Where they are nil the
+    Every effect acts on the ideal reading, and the additions are summed. Where they are zero the
     ideal reading is returned bit for bit.
     """
     gyro, accel = columns.rate_rad_s.copy(), columns.force_m_s2.copy()
@@ -206,18 +206,18 @@ def _add(reading: Floats, addition: Floats | None) -> None:
 
 
 def remove(
-    columns: Columns, effects: list[tuple[Effect, Values]], turns: int = 12
+    columns: Columns, effects: list[tuple[Effect, Values]], iterations: int = 12
 ) -> tuple[Floats, Floats]:
     """Return the ideal readings where `columns` holds the measured ones: the inverse of `apply`.
 
     Fixed-point iteration u <- measured - added(u), which gains a factor of the effect's slope per
-    turn (2 % or less by the data sheets). Only effects with an inverse may be given.
+    iteration (2 % or less by the data sheets). Only effects with an inverse may be given.
     """
     for effect, _ in effects:
         if not effect.has_inverse:
             raise ValueError(f"{effect.id}: has no inverse at one instant; leave it out")
     measured_gyro, measured_accel = columns.rate_rad_s, columns.force_m_s2
-    for _ in range(turns):
+    for _ in range(iterations):
         gyro, accel = apply(columns, effects)
         columns = replace(
             columns,

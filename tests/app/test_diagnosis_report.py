@@ -116,7 +116,7 @@ def test_figures_carry_two_digits_of_their_sigma(value, std, unit, words):
     assert text.estimate_text(Estimated(value, std, unit)) == words
 
 
-def test_what_is_too_large_to_be_believed_is_told_with_its_size(diagnosis):
+def test_what_is_too_large_to_be_believed_is_reported_with_its_size(diagnosis):
     (item,) = diagnosis.implausible
     words = text.implausible_text(item)
     assert "accel_scale_factor) would gain 231 nats" in words

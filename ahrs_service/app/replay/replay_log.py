@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.app.files import calibration_file, config_file
-from ahrs_service.app.files.calibration_choice import NONE, CalibrationShelf
+from ahrs_service.app.files.calibration_choice import NONE, CalibrationStore
 from ahrs_service.app.replay.summary import Summary, summarise
 from ahrs_service.estimator import Estimator, StateError
 from ahrs_service.links.errors import RecordingError
@@ -107,7 +107,7 @@ def _calibration(recording: Recording, sensor: SensorSettings) -> tuple[Calibrat
     """Return the calibration that is asked for, and what it is; None where none is."""
     if sensor.calibration == NONE:
         return Calibration.ideal(), "none, as asked"
-    shelf = CalibrationShelf(sensor)
+    shelf = CalibrationStore(sensor)
     choice = shelf.choose(recording.unit)
     if choice is None:
         if shelf.is_folder:
@@ -191,7 +191,7 @@ class _Replay:
                 "give --calibration FILE, or none"
             ) from None
         self.estimator.calibrate(calibration)
-        self.calibration = f"that of the recording, serial {calibration.serial or 'not told'}"
+        self.calibration = f"that of the recording, serial {calibration.serial or 'not known'}"
 
 
 def _marks(recording: Recording) -> list[tuple[int, Mark]]:

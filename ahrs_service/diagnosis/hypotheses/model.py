@@ -23,11 +23,11 @@ SIZES: Final = 2.0
 Of all magnitudes that were planted into test recordings, on purpose too large some, the largest
 was 4.0 of the sizes."""
 
-_TURNS: Final = 6
+_ITERATIONS: Final = 6
 _SETTLED_SIGMA: Final = 0.05
 _RELATIVE_STEP: Final = 1e-3
-_UNDO_TURNS: Final = 6
-_REFIT_TURNS: Final = 8
+_UNDO_ITERATIONS: Final = 6
+_REFIT_ITERATIONS: Final = 8
 _TIMING: Final = ("time_offset", "clock_drift")
 _FORMING: Final = ("low_pass", "mounting_rotation")
 _DYNAMIC: Final = (*_TIMING, *_FORMING)
@@ -89,7 +89,7 @@ def motion_under(columns: Columns, terms: tuple[Term, ...]) -> Columns:
             read = _with(read, term.effect.add(read, early), 1.0)
     ideal = read
     moving = [term for term in terms if term.effect.name in _FORMING]
-    for _ in range(_UNDO_TURNS if moving else 0):
+    for _ in range(_UNDO_ITERATIONS if moving else 0):
         under = read
         for term in moving:
             under = _with(under, term.effect.add(ideal, term.values), -1.0)
@@ -194,7 +194,7 @@ def _base(residual: Residual, terms: tuple[Term, ...], unknown_rows: Floats) -> 
 def _prior(terms: tuple[Term, ...], numbers: list[Number], count: int) -> Floats:
     """Return the prior [count+1, count+1] of a base whose last columns are the `numbers`.
 
-    Each number that enters linearly is Gaussian about nil, its sigma SIZES of the largest that
+    Each number that enters linearly is Gaussian about zero, its sigma SIZES of the largest that
     data sheets give: what the data do not tell stays small, and what they tell is left alone.
     """
     prior = np.zeros((count + 1, count + 1))
@@ -221,7 +221,7 @@ def settle(
     best: Model | None = None
     change, shares = np.zeros(len(numbers)), 1.0
     start = terms
-    for _ in range(_TURNS):
+    for _ in range(_ITERATIONS):
         misfit = residual.rows - added_rows(residual, terms)
         base = _base(residual, terms, unknown_rows)
         prior = _prior(terms, numbers, base.shape[2])
@@ -258,11 +258,11 @@ def settle(
     return best
 
 
-def refit(residual: Residual, model: Model, turns: int = 2) -> Model:
+def refit(residual: Residual, model: Model, iterations: int = 2) -> Model:
     """Fit numbers and noise in turn."""
-    for _ in range(turns):
+    for _ in range(iterations):
         start = _better_start(residual, model)
-        noise = fit_noise(residual, model.base, model.misfit, model.prior, start, _REFIT_TURNS)
+        noise = fit_noise(residual, model.base, model.misfit, model.prior, start, _REFIT_ITERATIONS)
         before = model.log_likelihood
         model = settle(residual, model.terms, noise, model.unknown, model.unknown_rows)
         if model.log_likelihood - before < 0.3:

@@ -19,7 +19,7 @@ from ahrs_service.records import Floats
 Known = Sequence[tuple[Effect, Values]]
 
 _SMOOTHED_S: Final = 0.05
-_TURNS: Final = 3
+_ITERATIONS: Final = 3
 _TIMING: Final = ("time_offset", "clock_drift")
 
 
@@ -75,7 +75,7 @@ def without_effects(recorded: Recorded, effects: Known) -> Recorded:
     recorded = replace(recorded, imu_time_s=time_s)
     columns = acting(recorded)
     measured = columns.rate_rad_s, columns.force_m_s2
-    for _ in range(_TURNS):
+    for _ in range(_ITERATIONS):
         gyro, accel = _added(columns, effects)
         rate = measured[0] - gyro
         columns = replace(
