@@ -12,13 +12,29 @@ import pytest
 
 from ahrs_service.app import cli
 from ahrs_service.app.replay.export import _schema
+from ahrs_service.calibration import verdict
+from ahrs_service.calibration.thermal import lag, smooth_choice
+from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.diagnosis.hypotheses import named_vs_unknown
+from ahrs_service.diagnosis.judgement import classes, uncertainty
+from ahrs_service.diagnosis.search import forward_search
 from ahrs_service.effects.catalogue import EFFECTS
+from ahrs_service.fusion import (
+    alignment,
+    ground_velocity,
+    hard_iron,
+    heading,
+    plausibility,
+    propagation,
+    velocity_constraints,
+)
 from ahrs_service.links.component.component import _wanted
 from ahrs_service.links.component.parameters import PARAMETERS
 from ahrs_service.links.logs.recording_formats import READERS
 from ahrs_service.links.mavlink.reading_rules import RULES
 from ahrs_service.links.transport.registry import SCHEMES
 from ahrs_service.records import Flag, Gate, ImuSource, Phase
+from ahrs_service.sensor import thermometer
 from ahrs_service.settings import Settings
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -214,3 +230,50 @@ def test_every_effect_is_in_the_table():
     assert told == {
         (name, "each" if len(found) > 1 else plain[found.pop()]) for name, found in triads.items()
     }
+
+
+@pytest.mark.parametrize(
+    ("place", "words", "values"),
+    [
+        ("fusion", "update of {:g} s", [propagation.UPDATE_S]),
+        (
+            "fusion",
+            "1-sigma {:g} m/s over {:g} s",
+            [velocity_constraints.AIRSPEED_SIGMA_M_S, velocity_constraints.AIRSPEED_CORRELATION_S],
+        ),
+        ("fusion", "T is taken as right to {:.0f} %", [100.0 * velocity_constraints.DRAG_SHARE]),
+        ("fusion", "({:g} by_drag)²", [velocity_constraints.DRAG_SHARE]),
+        ("fusion", "({:g} velocity_sigma))²", [velocity_constraints.DRAG_LARGE]),
+        ("fusion", "outlier beyond {:g} sigma", [ground_velocity.OUTLIER_SIGMA]),
+        (
+            "fusion",
+            "({:g} m/s and faster, 1-sigma {:g} rad)",
+            [ground_velocity.COURSE_SPEED_M_S, ground_velocity.COURSE_SIGMA_RAD],
+        ),
+        ("fusion", "variance = {:g}² + d²", [heading.AZIMUTH_SIGMA_RAD]),
+        ("fusion", "undisturbed field over {:g} s", [heading.FOLLOW_S]),
+        ("fusion", "two windows of {:g} s", [hard_iron.WINDOW_S]),
+        ("fusion", "b walks by {:g} uT/sqrt(s)", [hard_iron.IRON_WALK_UT_RTS]),
+        ("fusion", "explains the force better (by {:g} m/s²)", [alignment.HELD_M_S2]),
+        ("fusion", "jumps by {:g} rad/s", [plausibility.SPIKE_RATE_RAD_S]),
+        ("fusion", "g = {:g} m/s²", [STANDARD_GRAVITY_M_S2]),
+        ("fusion", "wind: {:g}² t", [propagation.WIND_WALK_M_S_RTS]),
+        (
+            "calibration",
+            "cut into {} contiguous blocks, dealt out to {} folds",
+            [smooth_choice.SESSION_BLOCKS, smooth_choice.FOLDS],
+        ),
+        ("calibration", "within ±{:g} s", [lag.LARGEST_LAG_S]),
+        ("calibration", "(1 + {:g} p s)", [thermometer.LEAD_GAIN]),
+        ("calibration", "spans below {:g} degC", [verdict.SMALLEST_SPAN_K]),
+        ("calibration", "a condition above {:g}", [verdict.LARGEST_CONDITION]),
+        ("diagnosis", "A name needs {:.1f} nats", [forward_search.ALARM]),
+        ("diagnosis", "an unknown dependence {:g}", [forward_search.UNKNOWN_ALARM]),
+        ("diagnosis", '"Clearly" is {:g} nats', [named_vs_unknown.CLEARLY]),
+        ("diagnosis", "how it came out ({:g} nats", [classes.ALIKE]),
+        ("diagnosis", "{:g}² max(marginal, blocks)", [uncertainty.CHOSEN]),
+    ],
+)
+def test_numbers_of_the_theory_are_those_of_the_code(place, words, values):
+    text = " ".join((ROOT / "ahrs_service" / place / "README.md").read_text().split())
+    assert words.format(*values) in text
