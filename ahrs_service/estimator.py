@@ -253,12 +253,12 @@ def _check(intake_state: Record, pipeline_state: Record) -> None:
     """
     source, vehicle = int(intake_state["source"]), int(intake_state["vehicle"])
     phase, states = int(pipeline_state["phase"]), int(pipeline_state["states"])
-    place, turn_s = int(pipeline_state["history_next"]), float(pipeline_state["turn_s"])
+    place, update_s = int(pipeline_state["history_next"]), float(pipeline_state["update_s"])
     known = source in list(ImuSource) and phase in list(Phase) and 0 <= vehicle <= 255
-    if not (known and states in _STATES and 0 <= place < HISTORY and turn_s >= 0.0):
+    if not (known and states in _STATES and 0 <= place < HISTORY and update_s >= 0.0):
         raise StateError(
             f"saved state is damaged (IMU source {source}, vehicle {vehicle}, phase {phase}, "
-            f"{states} error states, place {place} in the history, turn of {turn_s} s); "
+            f"{states} error states, place {place} in the history, turn of {update_s} s); "
             "start from the beginning of the recording instead"
         )
 

@@ -36,7 +36,7 @@ from ahrs_service.records import Airframe, Flag, Floats, Phase, Record, Rows
 from ahrs_service.sensor.compensation import compensate_sample
 from ahrs_service.sensor.thermometer import THERMOMETER_FIELDS, forget_temperature
 from ahrs_service.settings import Settings
-from ahrs_service.vehicle_axes import turn
+from ahrs_service.vehicle_axes import rotate_to_vehicle
 
 _ALIGNING = int(Phase.ALIGNING)
 _RUNNING = int(Phase.RUNNING)
@@ -165,7 +165,7 @@ def parameters(settings: Settings) -> Rows:
 
 
 @inlined_kernel
-def _turn(
+def _update(
     settings: Record, state: Record, sample: Record, airframe: int, flags: int, nodes: Rows | None
 ) -> None:
     """Propagate the covariance, then correct by all that is known of the vehicle's motion."""
@@ -173,7 +173,7 @@ def _turn(
         smoother_history.leave(state, nodes[0])
     is_compensated = flags & _UNCOMPENSATED == 0
     propagation.grow(settings, state, sample["temperature_degc"], is_compensated)
-    dt_s = state["turn_s"]
+    dt_s = state["update_s"]
     gravity.judge(settings, state, airframe, dt_s, flags)
     uses_velocity = settings["use_velocity"] != 0
     at_rest = uses_velocity and zero_velocity.come_to_rest(state)
@@ -194,7 +194,7 @@ def _turn(
         ground_velocity.remember(state)
         ground_velocity.correct_velocity(settings, state, airframe)
         ground_velocity.shift_history(state)
-    propagation.begin_turn(state)
+    propagation.begin_update(state)
     mekf.settle(state)
     mekf.apply_correction(state)
     _summarise(state)
@@ -264,7 +264,7 @@ def _realign_if_lost(
 def _begin(settings: Record, state: Record, airframe: int) -> None:
     """Begin to align."""
     alignment.start(settings, state, airframe)
-    propagation.begin_turn(state)
+    propagation.begin_update(state)
     _summarise(state)
     state["phase"] = _ALIGNING
 
@@ -287,8 +287,8 @@ def take(
     """Take one sample; where there are `nodes` [2], the last and the next, note the turn there."""
     gyro, accel = state["gyro_rad_s"], state["accel_m_s2"]
     flags = compensate_sample(coefficients, state, sample)
-    turn(sample["vehicle_from_board"], gyro)
-    turn(sample["vehicle_from_board"], accel)
+    rotate_to_vehicle(sample["vehicle_from_board"], gyro)
+    rotate_to_vehicle(sample["vehicle_from_board"], accel)
     found = plausibility.check(settings, state, sample, gyro, accel)
     flags |= found
     if not found & (_NOT_FINITE | _SPIKE):
@@ -350,8 +350,8 @@ def _move(
         zero_velocity.follow(state, gyro, accel, dt_s, settings["gyro_rest_sigma_rad_s"])
     if settings["use_magnetometer"] != 0:
         heading.gather(state, sample["mag_ut"], dt_s)
-    if state["turn_s"] + 0.5 * dt_s >= propagation.TURN_S or flags & _JUDGED_AT_ONCE != 0:
-        _turn(settings, state, sample, airframe, flags, nodes)
+    if state["update_s"] + 0.5 * dt_s >= propagation.UPDATE_S or flags & _JUDGED_AT_ONCE != 0:
+        _update(settings, state, sample, airframe, flags, nodes)
         if not alignment.is_sound(state):
             _begin(settings, state, airframe)
             return

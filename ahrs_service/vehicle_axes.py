@@ -56,11 +56,11 @@ def write_axes(state: Record, sample: Record) -> None:
     for i in range(3):
         for j in range(3):
             out[i, j] = dcm[i, j] if is_known and has_trim else math.nan
-    turn(out, sample["mag_ut"])
+    rotate_to_vehicle(out, sample["mag_ut"])
 
 
 @kernel
-def turn(vehicle_from_board: Floats, v: Floats) -> None:
+def rotate_to_vehicle(vehicle_from_board: Floats, v: Floats) -> None:
     """Turn `v` [3] into the vehicle's axes, in place; NaN for the matrix leaves it."""
     dcm = vehicle_from_board
     if math.isnan(dcm[0, 0]):

@@ -22,6 +22,7 @@ from ahrs_service.links.transport.registry import open_link
 from ahrs_service.links.transport.stream import FdStream
 from ahrs_service.records import ESTIMATE_DTYPE, Rows
 from ahrs_service.settings import RecorderSettings, Settings
+from tests.hang import HANG_S
 
 
 class Served:
@@ -60,7 +61,7 @@ class Served:
 
     async def until(self, holds: Callable[[], Any]) -> None:
         """Wait until `holds()`; what no estimate or log line tells is looked at now and then."""
-        async with asyncio.timeout(30.0):
+        async with asyncio.timeout(HANG_S):
             while not holds():
                 self._news.clear()
                 with contextlib.suppress(TimeoutError):
@@ -156,7 +157,7 @@ class Vehicle:
             far = uri.replace(self.kind, {"udpin": "udpout", "tcpin": "tcp"}[self.kind])
             self.link = open_link(far, self._on_bytes, self._on_state)
             await self.link.start()
-        async with asyncio.timeout(30.0):
+        async with asyncio.timeout(HANG_S):
             await self.up.wait()
 
     @property

@@ -53,7 +53,7 @@ def test_from_nothing_to_good():
 
 
 @pytest.mark.parametrize("flag", TOLD, ids=lambda flag: flag.name)
-def test_a_fault_is_told_held_and_taken_back(flag):
+def test_a_fault_is_reported_held_and_taken_back(flag):
     monitor, now_s = fed()
     assert monitor.state is Health.GOOD
     monitor.sample(estimate(flags=flag), now_s + 0.02)
@@ -68,7 +68,7 @@ def test_a_fault_is_told_held_and_taken_back(flag):
     assert monitor.update(True, now_s + FLAG_HOLD_S + 0.1) == "good"
 
 
-def test_every_flag_is_either_told_or_harmless():
+def test_every_flag_is_either_reported_or_harmless():
     assert set(TOLD) | NOT_TOLD == set(Flag) - {Flag.NONE}
     for flag in NOT_TOLD:
         monitor, now_s = fed()
@@ -76,7 +76,7 @@ def test_every_flag_is_either_told_or_harmless():
         assert monitor.update(True, now_s + 0.02) == ""
 
 
-def test_several_faults_are_told_together():
+def test_several_faults_are_reported_together():
     monitor, now_s = fed()
     monitor.sample(estimate(flags=Flag.GAP | Flag.SATURATED), now_s)
     said = monitor.update(True, now_s)
@@ -111,7 +111,7 @@ def test_only_what_aligns_anew_says_so(flags, phase, said):
     assert monitor.update(True, now_s) == said
 
 
-def test_silence_is_told_after_half_a_second():
+def test_silence_is_reported_after_half_a_second():
     monitor, now_s = fed()
     assert monitor.update(True, now_s + IMU_SILENCE_S - 0.01) == ""
     assert monitor.update(True, now_s + IMU_SILENCE_S + 0.01) == "no IMU data"

@@ -77,7 +77,7 @@ def test_highres_takes_over_from_raw_at_like_rates_and_stays():
     assert not (samples["flags"] & Flag.IMU_CHANGED).any()
 
 
-def test_another_sensor_is_told_from_another_message():
+def test_another_sensor_is_reported_from_another_message():
     first, second = imu(ImuSource.SCALED_IMU, 50, 2), imu(ImuSource.SCALED_IMU2, 50, 6)
     samples, _ = select(np.concatenate([heartbeat(), merge(first, second)]))
     assert np.count_nonzero(samples["flags"] & Flag.IMU_CHANGED) == 1

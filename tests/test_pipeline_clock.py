@@ -42,7 +42,7 @@ def tilt_between(mine, theirs):
     return math.degrees(2.0 * np.arcsin(np.linalg.norm(q[:, 1:], axis=1)).max())
 
 
-def test_gap_duplicate_late_and_jump_are_told_apart():
+def test_gap_duplicate_late_and_jump_are_separated():
     samples = still(1200)
     samples["time_ns"][300:] += 2_000_000_000
     received(samples)

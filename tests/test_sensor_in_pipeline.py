@@ -84,7 +84,7 @@ def test_the_memory_of_the_lag_is_part_of_the_state():
     assert np.abs(fresh - whole[150:]).max() > 1e-3
 
 
-def test_a_missing_temperature_leaves_the_drift_out_and_is_told():
+def test_a_missing_temperature_leaves_the_drift_out_and_is_reported():
     calibration = known(5.0)
     temperature = np.full(COUNT, 35.0)
     temperature[100:200] = np.nan

@@ -179,7 +179,7 @@ def test_the_bias_that_the_alignment_found_holds_from_the_first_sample():
     np.testing.assert_allclose(smoothed["gyro_bias_rad_s"][10], (0.05, -0.03, 0.02), atol=0.005)
 
 
-def test_a_bias_that_steps_at_rest_is_not_told_to_the_time_before():
+def test_a_bias_that_steps_at_rest_is_not_reported_to_the_time_before():
     samples = resting(120.0)
     step, n = 0.03, 6000
     samples["gyro_rad_s"][n:, 0] += step

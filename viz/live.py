@@ -35,7 +35,7 @@ class LiveViewer:
     """Streams estimates to whoever attaches to `rerun+http://127.0.0.1:PORT/proxy`.
 
     `port` 0 hosts nothing, an empty `rrd` writes no file. `memory_mb` bounds what a viewer that
-    comes late is told, `queue` the rows that wait for the thread, `period_s` is how often it
+    comes late is reported, `queue` the rows that wait for the thread, `period_s` is how often it
     sends. `dropped` counts rows and values that found the queue full; `error` is the last thing
     that went wrong in the thread, or empty; `gate` are the limits as they are now. `shows_sensor`
     makes room for raw beside compensated values.
@@ -145,7 +145,7 @@ class LiveViewer:
         self._guarded(recording.disconnect)
 
     def _guarded(self, act: Callable[..., None], *values: Any, **named: Any) -> None:
-        """Whatever fails here is told by `error` and costs the service nothing else."""
+        """Whatever fails here is reported by `error` and costs the service nothing else."""
         try:
             act(*values, **named)
         except Exception as error:

@@ -33,6 +33,10 @@ COMMANDS: Final = {
         "hide physics in recordings and score its discovery",
     ),
     "simulate": ("ahrs_service.app.simulate.command", "fly the simulated autopilot over a link"),
+    "settings": (
+        "ahrs_service.app.settings.command",
+        "list every setting: type, unit, default, meaning",
+    ),
 }
 
 EXIT_INTERRUPTED: Final = 130

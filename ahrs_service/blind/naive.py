@@ -143,7 +143,8 @@ def _probes(effect: Effect) -> list[tuple[dict[str, Floats], float]]:
 def _regressor(columns: Columns, effect: Effect, values: Values, step: float) -> Floats:
     if effect.is_limit:
         # Its grid is of shares of the largest reading.
-        values = {"limit": values["limit"] * np.abs(effect.ideal(columns)).max()}
+        name = effect.limited_by
+        values = {name: values[name] * np.abs(effect.ideal(columns)).max()}
     added: Addition = effect.add(columns, values)
     none = np.zeros_like(columns.rate_rad_s)
     parts = [none if part is None else part / step for part in (added.gyro, added.accel)]

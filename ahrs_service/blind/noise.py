@@ -78,10 +78,10 @@ class NoiseLaw:
 
     def gyro_psd(self, frequency_hz: Floats) -> Floats:
         """Density [K, 3] of what a gyro reads beyond the reference's rate."""
-        turn2 = (2.0 * np.pi * frequency_hz) ** 2
+        omega2 = (2.0 * np.pi * frequency_hz) ** 2
         psd = self.gyro_density**2 + self.gyro_wander.psd(frequency_hz)
         if self.reference is INS:
-            psd = psd + turn2 * self._attitude_psd(frequency_hz)
+            psd = psd + omega2 * self._attitude_psd(frequency_hz)
         shake = (GYRO_SHAKE_RAD_S * self.shake_m_s2) ** 2 * _shake_psd(frequency_hz)
         return np.repeat((psd + shake)[:, None], 3, axis=1)
 
@@ -90,10 +90,10 @@ class NoiseLaw:
 
         A tilt of the reference turns gravity into x and y.
         """
-        turn2 = (2.0 * np.pi * frequency_hz) ** 2
+        omega2 = (2.0 * np.pi * frequency_hz) ** 2
         psd = self.accel_density**2 + self.accel_wander.psd(frequency_hz)
         white = 2.0 * self.reference.velocity_white_m_s**2 / _REFERENCE_HZ
-        psd = psd + turn2 * (white + self.reference.velocity.psd(frequency_hz))
+        psd = psd + omega2 * (white + self.reference.velocity.psd(frequency_hz))
         tilt = STANDARD_GRAVITY_M_S2**2 * self._attitude_psd(frequency_hz)
         shake = (SHAKE_AXES * self.shake_m_s2) ** 2 * _shake_psd(frequency_hz)[:, None]
         return np.asarray(psd[:, None] + tilt[:, None] * np.array([1.0, 1.0, 0.05]) + shake)

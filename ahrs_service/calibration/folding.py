@@ -6,47 +6,27 @@ A sensor of calibration (K + dK, B, c, G) on whose ideal reading u effects act g
 
 which is a sensor of another calibration: matrix (K + dK)(I + D + D_T), bias c + (K + dK) beta,
 g-sensitivity G + K Gamma. So what diagnosis accepted is compensated by the estimator's own step,
-with no second place for physics. The accelerometer's k f^2 becomes the drift's a, to first order in
-k. What does not have this form is left, each with its reason.
+with no second place for physics: what an effect is in a calibration it says itself
+(`Effect.in_calibration`), here it is only summed. The accelerometer's k f^2 becomes the drift's a,
+to first order in k. What does not have this form is left, each with its reason.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from ahrs_service.effects.base import Effect, Values
+from ahrs_service.effects.base import Contribution, Effect, OfTemperature, Values
 from ahrs_service.records import Floats
 from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.parameters import Calibration, Matrix, TriadCalibration, Vector
 
+Part = tuple[Effect, Contribution]
+
 SPAN_DEGC: Final = (-40.0, 85.0)
 """Where the curves of a calibration that had none hold: the sensors' own range."""
 
-NOT_LIVE: Final = MappingProxyType(
-    {
-        "time_offset": "the step takes stamps as they come; shift the stamps, or the timing of "
-        "the link",
-        "clock_drift": "the step takes stamps as they come; correct the clock of the sender",
-        "low_pass": "what a filter took away comes back only with amplified noise; open the filter",
-        "saturation": "what is cut off is lost; choose a larger range",
-        "thermal_rate": "needs the slope of the temperature, which the calibration has not",
-        "thermal_hysteresis": "needs the history of the temperature, which the calibration has not",
-        "warm_up": "needs the time since power-on, which the calibration has not",
-        "vibration_rectification": "needs the level of vibration, which samples do not carry; "
-        "mount the sensor softer",
-        "current_coupling": "needs the battery current, which samples do not carry",
-        "lever_arm": "needs the angular acceleration, whose noise would be worse than the effect; "
-        "it is in the budget of the gates (gate_budget.arm_m)",
-        "earth_rate": "needs the attitude; to the filter it is a bias of the gyro",
-    }
-)
-"""Effects by name that cannot be compensated live, and why."""
-
-_ODD: Final = "k w |w| is odd in the rate, the calibration's quadratic term is even"
 _ONE_LAG: Final = "a triad has one lag, and another thermal effect of it acts without"
 
 
@@ -59,29 +39,18 @@ class Folded:
     left: tuple[tuple[str, str], ...]
 
 
-def why_not_live(effect: Effect) -> str | None:
-    """Return why an effect cannot be compensated live, None where it can."""
-    if effect.id == "gyro_scale_nonlinearity":
-        return _ODD
-    return NOT_LIVE.get(effect.name)
-
-
 def fold(calibration: Calibration, effects: Iterable[tuple[Effect, Values]]) -> Folded:
     """Return the calibration of a sensor of `calibration` on which `effects` act as well."""
-    taken: list[tuple[Effect, Values]] = []
+    taken: list[Part] = []
     left: list[tuple[str, str]] = []
-    known = list(effects)
-    ids = {effect.id for effect, _ in known}
-    for effect, values in known:
-        why = why_not_live(effect)
-        if effect.name == "thermal_lag":
-            triad: TriadCalibration = getattr(calibration, effect.triad)
-            rivals = {f"{effect.triad}_thermal_bias", f"{effect.triad}_thermal_scale"}
-            why = _ONE_LAG if triad.span_degc or rivals & ids else None
-        if why is None:
-            taken.append((effect, values))
+    known = [(effect, effect.in_calibration(values)) for effect, values in effects]
+    for effect, contribution in known:
+        if contribution is None:
+            left.append((effect.id, effect.not_live))
+        elif contribution.lag_s is not None and _has_rival(effect, calibration, known):
+            left.append((effect.id, _ONE_LAG))
         else:
-            left.append((effect.id, why))
+            taken.append((effect, contribution))
     room = calibration.room_degc
     folded = replace(
         calibration,
@@ -91,56 +60,52 @@ def fold(calibration: Calibration, effects: Iterable[tuple[Effect, Values]]) -> 
     return Folded(folded, tuple(effect.id for effect, _ in taken), tuple(left))
 
 
+def _has_rival(
+    effect: Effect, calibration: Calibration, known: list[tuple[Effect, Contribution | None]]
+) -> bool:
+    """Whether another thermal model acts on a triad of an effect."""
+    for triad in ("gyro", "accel"):
+        if effect.acts_on(triad):
+            own: TriadCalibration = getattr(calibration, triad)
+            others = [c for other, c in known if other.acts_on(triad) and other != effect]
+            if own.span_degc or any(c is not None and c.follows_temperature for c in others):
+                return True
+    return False
+
+
 @dataclass(slots=True)
 class _Sum:
-    """What all effects on one triad come to: D, D_T, beta, Gamma, a, and the lag."""
+    """What all effects on one triad come to: D, D_T, beta, Gamma, k, and the lag."""
 
     linear: Floats
-    scale: list[Callable[[Floats], Floats]]
-    bias: list[Callable[[Floats], Floats]]
+    scale: list[OfTemperature]
+    bias: list[OfTemperature]
     g_sensitivity: Floats
     quadratic: Floats
     lag_s: float = 0.0
 
 
-def _sum(triad: str, effects: list[tuple[Effect, Values]]) -> _Sum:
+def _sum(triad: str, parts: list[Part]) -> _Sum:
     total = _Sum(np.zeros((3, 3)), [], [], np.zeros((3, 3)), np.zeros(3))
-    for effect, values in effects:
-        if effect.triad not in (triad, "imu"):
+    for effect, part in parts:
+        if not effect.acts_on(triad):
             continue
-        if effect.name == "scale_factor":
-            total.linear += np.diag(values["scale_error"])
-        elif effect.name == "misalignment":
-            total.linear += values["off_diagonal"] * (1.0 - np.eye(3))
-        elif effect.name == "mounting_rotation":
-            total.linear += Rotation.from_rotvec(values["rotvec_rad"]).as_matrix() - np.eye(3)
-        elif effect.name == "g_sensitivity":
-            total.g_sensitivity += values["matrix_rad_s_per_m_s2"]
-        elif effect.name == "scale_nonlinearity":
-            total.quadratic += values["k"]
-        elif effect.name == "thermal_scale":
-            total.scale.append(_polynomial(values["reference_degC"], values["per_degC"]))
-        else:
-            slope, bend = values["linear"], values.get("quadratic", np.zeros(3))
-            total.bias.append(_polynomial(values["reference_degC"], slope, bend))
-            total.lag_s += float(values.get("time_constant_s", 0.0))
+        if part.linear is not None:
+            total.linear += part.linear
+        if part.g_sensitivity is not None:
+            total.g_sensitivity += part.g_sensitivity
+        if part.quadratic is not None:
+            total.quadratic += part.quadratic
+        total.scale += [] if part.scale is None else [part.scale]
+        total.bias += [] if part.bias is None else [part.bias]
+        total.lag_s += part.lag_s or 0.0
     return total
 
 
-def _polynomial(origin_degc: Floats, *powers: Floats) -> Callable[[Floats], Floats]:
-    """Return T [m] -> sum of powers[k] (T - origin)^(k + 1) [m, 3]."""
-
-    def at(temperature_degc: Floats) -> Floats:
-        warm = (temperature_degc - origin_degc)[:, None]
-        return sum((p * warm ** (k + 1) for k, p in enumerate(powers)), np.zeros((len(warm), 3)))
-
-    return at
-
-
 def _fold_triad(
-    name: str, triad: TriadCalibration, effects: list[tuple[Effect, Values]], room_degc: float
+    name: str, triad: TriadCalibration, parts: list[Part], room_degc: float
 ) -> TriadCalibration:
-    total = _sum(name, effects)
+    total = _sum(name, parts)
     gamma = np.array(triad.g_sensitivity) + np.array(triad.matrix) @ total.g_sensitivity
     breaks = triad.breaks_degc() if triad.span_degc else np.array(SPAN_DEGC)
     plain = np.eye(3) + total.linear
@@ -156,25 +121,25 @@ def _fold_triad(
 
     room = np.array([room_degc])
     at_room, bias = matrix_at(room)[0], bias_at(room)[0]
-    parts: dict[str, Any] = {}
+    thermal: dict[str, Any] = {}
     if total.scale or triad.matrix_drift.pieces:
-        parts["matrix_drift"] = Curve.through(
+        thermal["matrix_drift"] = Curve.through(
             breaks, lambda t: (matrix_at(t) - at_room).reshape(len(t), 9)
         )
     if total.bias:
-        parts["c"] = Curve.through(breaks, lambda t: bias_at(t) - bias)
+        thermal["c"] = Curve.through(breaks, lambda t: bias_at(t) - bias)
     else:
         bias = np.zeros(3)
     if total.quadratic.any():
         own = triad.a if triad.a.pieces else Curve.steps(breaks[[0, -1]], np.zeros((1, 3)))
-        parts["a"] = own.plus(total.quadratic)
+        thermal["a"] = own.plus(total.quadratic)
     return replace(
         triad,
         matrix=_matrix(at_room),
         bias=_vector(np.array(triad.bias) + bias),
         g_sensitivity=_matrix(gamma),
         thermal_lag_s=triad.thermal_lag_s + total.lag_s,
-        **parts,
+        **thermal,
     )
 
 

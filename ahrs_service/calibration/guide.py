@@ -13,7 +13,7 @@ import numpy as np
 from ahrs_service.calibration import multi_pose, six_position
 from ahrs_service.calibration.columns import ImuColumns, check_stream_unit
 from ahrs_service.calibration.errors import CalibrationError
-from ahrs_service.calibration.known_rotations import find_turns
+from ahrs_service.calibration.known_rotations import find_rotations
 from ahrs_service.calibration.multi_pose import LEAST_POSES
 from ahrs_service.calibration.poses import (
     Stillness,
@@ -179,7 +179,7 @@ def _turns(
     refusals = []
     for k in range(len(poses) - 1):
         try:
-            turns = find_turns(columns, poses[k : k + 2], ideal(), unit_deg)
+            turns = find_rotations(columns, poses[k : k + 2], ideal(), unit_deg)
         except CalibrationError as error:
             refusals.append(Refusal(float(poses["start_s"][k + 1]), str(error)))
             continue

@@ -28,7 +28,7 @@ _SAME_FACE_RAD: Final = math.radians(3.0)
 _LEAST_RAD: Final = math.radians(45.0)
 _LARGEST_MISS: Final = 0.1
 _LEAST_ALONG: Final = 0.9
-_LEAST_TURNS: Final = 4
+_LEAST_ROTATIONS: Final = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Turns:
     left_out: tuple[str, ...] = ()
 
 
-def find_turns(columns: ImuColumns, poses: Rows, accel: TriadFit, unit_deg: float) -> Turns:
+def find_rotations(columns: ImuColumns, poses: Rows, accel: TriadFit, unit_deg: float) -> Turns:
     """Return the turns about the vertical between one pose and the next.
 
     The true angle is the multiple of `unit_deg` next to the measured one; a turn by another angle
@@ -99,16 +99,16 @@ def _check_axis(turned: Floats, axis: Floats, begin_s: float) -> None:
 
 
 def fit_gyro(poses: Rows, turns: Turns) -> TriadFit:
-    """Return K and B of the gyros from the turns of `find_turns`; B is the mean at rest.
+    """Return K and B of the gyros from the turns of `find_rotations`; B is the mean at rest.
 
     CalibrationError where the turns are too few or not about three axes.
     """
     truth, measured = turns.truth, turns.measured
-    if len(truth) < _LEAST_TURNS or np.linalg.matrix_rank(truth, tol=_LEAST_RAD) < 3:
+    if len(truth) < _LEAST_ROTATIONS or np.linalg.matrix_rank(truth, tol=_LEAST_RAD) < 3:
         raise CalibrationError(
-            f"{len(truth)} turns about the vertical: the gyros need {_LEAST_TURNS} or more, with "
-            "each of the unit's three axes vertical in turn; lie the unit on a face, turn it a "
-            "full circle and let it rest, on three faces, to the left and to the right"
+            f"{len(truth)} turns about the vertical: the gyros need {_LEAST_ROTATIONS} or more, "
+            "with each of the unit's three axes vertical in turn; lie the unit on a face, turn it "
+            "a full circle and let it rest, on three faces, to the left and to the right"
         )
     bias, variance = rest_bias(poses)
     fit = fit_matrix(truth, measured)
@@ -118,7 +118,7 @@ def fit_gyro(poses: Rows, turns: Turns) -> TriadFit:
 
 
 def judge_gyro(poses: Rows, turns: Turns, fit: TriadFit) -> TriadVerdict:
-    """Return the figures of the fit, in rad per turn; each turn is foretold by the others."""
+    """Return the figures of the fit, in rad per turn; each turn is predicted by the others."""
     truth, measured = turns.truth, turns.measured
     held_out = np.empty_like(truth)
     for k in range(len(truth)):

@@ -18,18 +18,18 @@ from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.least_squares import Fit, gauss_newton
 from ahrs_service.calibration.multi_pose import FOLDS, folds
 from ahrs_service.calibration.poses import directions, rest_bias, span_of, sphere_coverage
-from ahrs_service.calibration.rotating import turn_and_leverage
+from ahrs_service.calibration.rotating import rotation_and_leverage
 from ahrs_service.calibration.triad import TriadFit, check_matrix, from_inverse, vector
 from ahrs_service.calibration.verdict import TriadVerdict, Vector
 from ahrs_service.records import Floats, Rows
 
-_LEAST_TURN_RAD: Final = math.radians(20.0)
+_LEAST_ROTATION_RAD: Final = math.radians(20.0)
 _GAP: Final = 5.0
-_LEAST_TURNS: Final = 6
+_LEAST_ROTATIONS: Final = 6
 _IDENTITY: Final[Floats] = np.eye(3).ravel()
 
 
-def turns_between(columns: ImuColumns, poses: Rows) -> list[tuple[int, int, int]]:
+def rotations_between(columns: ImuColumns, poses: Rows) -> list[tuple[int, int, int]]:
     """Return (pose before, first sample, sample after the last) for each usable turn.
 
     From the middle of one pose to that of the next, where gravity turned by 20 deg or more, no
@@ -43,7 +43,7 @@ def turns_between(columns: ImuColumns, poses: Rows) -> list[tuple[int, int, int]
         angle = math.acos(float(np.clip(up[k] @ up[k + 1], -1.0, 1.0)))
         longest = float(np.diff(columns.time_s[first:last]).max())
         whole = longest < _GAP * columns.interval_s and not clipped[first:last].any()
-        if angle >= _LEAST_TURN_RAD and whole:
+        if angle >= _LEAST_ROTATION_RAD and whole:
             turns.append((k, first, last))
     return turns
 
@@ -54,17 +54,17 @@ def fit_gyro(columns: ImuColumns, poses: Rows, accel: TriadFit) -> TriadFit:
     `accel` is the accelerometers' fit, whose axes become the gyros'. CalibrationError for too
     few turns or gyro axes that are not the accelerometers'.
     """
-    turns = turns_between(columns, poses)
-    if len(turns) < _LEAST_TURNS:
+    turns = rotations_between(columns, poses)
+    if len(turns) < _LEAST_ROTATIONS:
         raise CalibrationError(
             f"{len(turns)} turns of 20 degrees or more between still poses: the gyros need "
-            f"{_LEAST_TURNS} or more, without a gap in the recording and within their range; turn "
-            "the unit further from pose to pose, about all its axes, and not too fast"
+            f"{_LEAST_ROTATIONS} or more, without a gap in the recording and within their range; "
+            "turn the unit further from pose to pose, about all its axes, and not too fast"
         )
     bias, variance = rest_bias(poses)
     up = directions(accel.compensate(poses["accel_m_s2"]))
-    _check_axes(turn_residuals(columns, turns, up, bias))
-    fit = _fit_turns(columns, turns, up, bias)
+    _check_axes(rotation_residuals(columns, turns, up, bias))
+    fit = _fit_rotations(columns, turns, up, bias)
     covariance = np.zeros((12, 12))
     covariance[:9, :9] = fit.covariance
     covariance[9:, 9:] = np.diag(variance)
@@ -96,13 +96,13 @@ def _check_axes(evaluate: Callable[[Floats], tuple[Floats, Floats]]) -> None:
         )
 
 
-def _fit_turns(
+def _fit_rotations(
     columns: ImuColumns, turns: list[tuple[int, int, int]], up: Floats, bias: Floats
 ) -> Fit:
-    return gauss_newton(turn_residuals(columns, turns, up, bias), _IDENTITY)
+    return gauss_newton(rotation_residuals(columns, turns, up, bias), _IDENTITY)
 
 
-def turn_residuals(
+def rotation_residuals(
     columns: ImuColumns, turns: list[tuple[int, int, int]], up: Floats, bias: Floats
 ) -> Callable[[Floats], tuple[Floats, Floats]]:
     """Return the function from C by rows [9] to the residuals [2 M] and their Jacobian [2 M, 9].
@@ -124,7 +124,7 @@ def turn_residuals(
         residuals, jacobian = np.empty(2 * len(turns)), np.empty((2 * len(turns), 9))
         turn, leverage = np.empty((3, 3)), np.empty((3, 9))
         for m, (k, _, _) in enumerate(turns):
-            turn_and_leverage(*pieces[m], inverse, bias, turn, leverage)
+            rotation_and_leverage(*pieces[m], inverse, bias, turn, leverage)
             place = slice(2 * m, 2 * m + 2)
             seen = turn @ up[k + 1]
             residuals[place] = across[m] @ (seen - up[k])
@@ -148,17 +148,17 @@ def judge_gyro(columns: ImuColumns, poses: Rows, accel: TriadFit, gyro: TriadFit
     Turns are held out by sixths; the bias is that of all poses, before and after, so that what is
     shown is the gain of the matrix.
     """
-    turns = turns_between(columns, poses)
+    turns = rotations_between(columns, poses)
     up = directions(accel.compensate(poses["accel_m_s2"]))
 
     def errors(some: list[tuple[int, int, int]], parameters: Floats) -> Floats:
-        return turn_residuals(columns, some, up, gyro.bias)(parameters)[0].reshape(-1, 2)
+        return rotation_residuals(columns, some, up, gyro.bias)(parameters)[0].reshape(-1, 2)
 
     held_out = np.empty((len(turns), 2))
     for chosen in folds(np.arange(len(turns)), FOLDS):
         seen = [turn for turn, out in zip(turns, chosen, strict=True) if not out]
         rest = [turn for turn, out in zip(turns, chosen, strict=True) if out]
-        held_out[chosen] = errors(rest, _fit_turns(columns, seen, up, gyro.bias).parameters)
+        held_out[chosen] = errors(rest, _fit_rotations(columns, seen, up, gyro.bias).parameters)
     before = errors(turns, _IDENTITY)
     after = errors(turns, np.asarray(np.linalg.inv(gyro.matrix), np.float64).ravel())
     frames = np.stack([_across(up[k]) for k, _, _ in turns])

@@ -109,7 +109,7 @@ def fit_plateaus(truth: Floats, measured: Floats) -> TriadFit:
 
 
 def judge_plateaus(truth: Floats, measured: Floats, fit: TriadFit) -> TriadVerdict:
-    """Return the figures of the fit; each plateau is foretold by the others."""
+    """Return the figures of the fit; each plateau is predicted by the others."""
     held_out = np.empty_like(truth)
     design = np.concatenate([truth, np.ones((len(truth), 1))], axis=1)
     for k in range(len(truth)):
@@ -134,7 +134,7 @@ def fit_encoder(mountings: tuple[Mounting, ...]) -> tuple[TriadFit, Floats]:
 
 
 def judge_encoder(mountings: tuple[Mounting, ...], fit: TriadFit, lags_s: Floats) -> TriadVerdict:
-    """Return the figures of the fit; the second half of each recording is foretold by the first.
+    """Return the figures of the fit; the second half of each recording is predicted by the first.
 
     The lag is taken out before and after, so that what is shown is the gain of K and B.
     """
@@ -151,7 +151,7 @@ def _verdict(
     measured: Floats,
     unseen_truth: Floats,
     unseen: Floats,
-    foretold: Floats,
+    predicted: Floats,
 ) -> TriadVerdict:
     return TriadVerdict(
         triad="gyro",
@@ -162,7 +162,7 @@ def _verdict(
         condition=fit.condition,
         standard_errors=fit.standard_errors(),
         held_out_before=float(np.sqrt(np.mean((unseen - unseen_truth) ** 2))),
-        held_out_after=float(np.sqrt(np.mean((foretold - unseen_truth) ** 2))),
+        held_out_after=float(np.sqrt(np.mean((predicted - unseen_truth) ** 2))),
     )
 
 

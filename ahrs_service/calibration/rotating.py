@@ -9,7 +9,7 @@ from ahrs_service.records import Floats
 
 
 @kernel
-def turn_and_leverage(
+def rotation_and_leverage(
     time_s: Floats, output: Floats, inverse: Floats, bias: Floats, turn: Floats, leverage: Floats
 ) -> None:
     """Add up the rate A = C (N - B) over a turn, and how it depends on C.

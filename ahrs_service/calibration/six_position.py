@@ -64,7 +64,7 @@ def fit_accelerometer(poses: Rows, gravity_m_s2: float = STANDARD_GRAVITY_M_S2) 
 def judge_accelerometer(
     poses: Rows, fit: TriadFit, gravity_m_s2: float = STANDARD_GRAVITY_M_S2
 ) -> TriadVerdict:
-    """Return the figures of the fit; each face is held out in turn and foretold by the others."""
+    """Return the figures of the fit; each face is held out in turn and predicted by the others."""
     force = poses["accel_m_s2"]
     faces, tilt = faces_of(force)
     near = tilt < LARGEST_TILT_RAD

@@ -160,7 +160,7 @@ def _on_geometry(triad: TriadVerdict) -> list[Finding]:
     condition = triad.condition
     if condition is not None and not condition < DOUBTFUL_CONDITION:
         level = Level.WARNING if condition < LARGEST_CONDITION else Level.REFUSAL
-        text = f"{triad.triad}: parameters are hardly told apart (condition {condition:.0f})"
+        text = f"{triad.triad}: parameters are hardly separable (condition {condition:.0f})"
         findings.append(Finding(level, f"{text}; take poses or turns in more directions"))
     coverage = triad.coverage
     if coverage is not None and coverage < SMALLEST_COVERAGE:

@@ -1,12 +1,13 @@
 """What a physical effect is: an equation, its parameters, and what it adds to the ideal reading.
 
-Adding physics is adding a file beside this one and naming it in `catalogue`. The simulator adds
-an effect, diagnosis fits it and compensation takes it away again, all by the same `add`.
+Adding physics is adding a file beside this one: `catalogue` finds it. The simulator adds an effect,
+diagnosis fits it and `undo` takes it away again, all by the same `add`; what the effect becomes in
+a calibration, or why it cannot, it says itself.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from itertools import product
 from typing import ClassVar, Final, Literal
 
@@ -15,11 +16,16 @@ import numpy as np
 from ahrs_service.records import Floats
 
 Triad = Literal["gyro", "accel", "imu"]
+"""What an effect acts on, `imu` being both."""
+
 Values = Mapping[str, Floats]
 """Parameters of one effect by name, each an array of its parameter's shape (a number is [])."""
 
+OfTemperature = Callable[[Floats], Floats]
+"""From temperatures [M] [degC] to values [M, 3]."""
+
 REFERENCE_DEGC: Final = 25.0
-"""Where thermal effects are nil unless a twin says otherwise (MPU-6000 data sheet: at 25 degC)."""
+"""Where thermal effects are zero unless a twin says otherwise (MPU-6000 data sheet: at 25 degC)."""
 
 PER_AXIS: Final = (3,)
 MATRIX: Final = (3, 3)
@@ -64,7 +70,7 @@ class Parameter:
     """One parameter of an effect.
 
     `shape` () or (3,) or (3, 3); `plausible` the largest size that data sheets or measurements
-    give it, with `source`; `neutral` the value at which the effect is nil (NaN: not there at all);
+    give it, with `source`; `neutral` the value at which the effect is zero (NaN: not there at all);
     `step` a size at which the response is linear. Parameters that enter by their `grid` change
     the form of the response and are searched over, in whole numbers with `is_whole`; those without
     step or grid are conventions that keep their `default`. `is_off_diagonal` leaves the diagonal of
@@ -115,33 +121,88 @@ class Addition:
     accel: Floats | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Contribution:
+    """What an effect is in the calibration of a triad; None where it has no such part.
+
+        reading = (I + D + D_T(T)) u + beta(T) + Gamma f + k f^2
+
+    `linear` D [3, 3] [1]; `scale` the diagonal of D_T [1]; `bias` beta [rad/s or m/s^2];
+    `g_sensitivity` Gamma [3, 3] [rad s/m]; `quadratic` k [3] [s^2/m]. `lag_s` by how much the
+    temperature that acts is behind the reported one, first order. An effect on both triads
+    contributes the same to each.
+    """
+
+    linear: Floats | None = None
+    scale: OfTemperature | None = None
+    bias: OfTemperature | None = None
+    g_sensitivity: Floats | None = None
+    quadratic: Floats | None = None
+    lag_s: float | None = None
+
+    @property
+    def follows_temperature(self) -> bool:
+        """Whether it is another at another temperature."""
+        return self.scale is not None or self.bias is not None
+
+
+def polynomial(origin_degc: Floats, *powers: Floats) -> OfTemperature:
+    """Return T [M] -> sum of powers[k] (T - origin)^(k + 1) [M, 3]."""
+
+    def at(temperature_degc: Floats) -> Floats:
+        warm = (temperature_degc - origin_degc)[:, None]
+        return sum((p * warm ** (k + 1) for k, p in enumerate(powers)), np.zeros((len(warm), 3)))
+
+    return at
+
+
 @dataclass(frozen=True)
 class Effect(ABC):
     """A physical effect on one triad or on both; `name` without the triad's prefix.
 
-    `needs` the covariates of Columns without which it cannot be computed. `has_inverse` where the
-    ideal reading can be found again from the reading of the same instant. `is_limit` where it cuts
-    off what lies beyond its one parameter. `is_constant` where in flight it is a constant attitude
-    error in body axes, as the reference's own is that lasts.
+    `triads` on which it is looked for. `equation` what it adds to the ideal reading u; `needs` the
+    covariates of Columns without which that cannot be computed; `excited_by` what a recording must
+    hold to show it; `taken_for` the ids, or names of the same triad, that it is commonly mistaken
+    for, and `separated_by` the manoeuvre that parts it from them. `not_live` why a calibration
+    cannot compensate it, where it cannot.
+
+    `limited_by` names the parameter beyond which the reading is cut off. `alters_motion` where it
+    is so large, and of such a kind, that the reading is no substitute for the ideal motion, and
+    `is_timing` where that is because the stamps are late, by `delay_s`.
+    `is_constant` where in flight it is a constant attitude error in body axes, as the reference's
+    own is that lasts.
     """
 
     triad: Triad
 
     name: ClassVar[str]
+    triads: ClassVar[tuple[Triad, ...]]
     title: ClassVar[str]
     equation: ClassVar[str]
     needs: ClassVar[tuple[str, ...]] = ()
     excited_by: ClassVar[str]
     taken_for: ClassVar[tuple[str, ...]] = ()
     separated_by: ClassVar[str]
-    has_inverse: ClassVar[bool] = True
-    is_limit: ClassVar[bool] = False
+    not_live: ClassVar[str] = "the calibration has no term of its form"
+    limited_by: ClassVar[str] = ""
+    alters_motion: ClassVar[bool] = False
+    is_timing: ClassVar[bool] = False
     is_constant: ClassVar[bool] = False
 
     @property
     def id(self) -> str:
         """Name in the catalogue: `gyro_thermal_bias`."""
         return f"{self.triad}_{self.name}"
+
+    @property
+    def is_limit(self) -> bool:
+        """Whether it cuts off what lies beyond a limit."""
+        return bool(self.limited_by)
+
+    @property
+    def why_not_live(self) -> str | None:
+        """Why a calibration cannot compensate it live; None where it can."""
+        return self.not_live if self.in_calibration(self.neutral()) is None else None
 
     @property
     @abstractmethod
@@ -152,6 +213,22 @@ class Effect(ABC):
     def add(self, columns: Columns, values: Values) -> Addition:
         """Return what the effect adds to the ideal reading in `columns`."""
 
+    def in_calibration(self, values: Values) -> Contribution | None:
+        """Return what the effect becomes in a calibration; None where that has no such term."""
+        return None
+
+    def delay_s(self, time_s: Floats, values: Values) -> Floats:
+        """Return how late the stamps `time_s` [N] are [N] [s]: of an effect on timing."""
+        return np.zeros(len(time_s))
+
+    def acts_on(self, triad: str) -> bool:
+        """Whether it acts on a triad."""
+        return self.triad in (triad, "imu")
+
+    def unknown_need(self, columns: Columns) -> str | None:
+        """Return the first covariate that it needs and that is not known, None if all are."""
+        return next((name for name in self.needs if not columns.knows(name)), None)
+
     def grid(self, columns: Columns) -> list[dict[str, float]]:
         """Return the forms of the response to search over: one without such parameters."""
         forms = [p for p in self.parameters if p.grid]
@@ -159,7 +236,7 @@ class Effect(ABC):
         return [{p.name: v for p, v in zip(forms, point, strict=True)} for point in points]
 
     def neutral(self) -> dict[str, Floats]:
-        """Return parameters at which the effect is nil."""
+        """Return parameters at which the effect is zero."""
         return {
             p.name: np.full(p.shape, p.neutral if p.step or p.grid else p.default)
             for p in self.parameters
@@ -188,7 +265,7 @@ class Effect(ABC):
 def apply(columns: Columns, effects: list[tuple[Effect, Values]]) -> tuple[Floats, Floats]:
     """Return the readings (gyro [N, 3], accel [N, 3]) of an IMU with these effects.
 
-    Every effect acts on the ideal reading, and the additions are summed. Where they are nil the
+    Every effect acts on the ideal reading, and the additions are summed. Where they are zero the
     ideal reading is returned bit for bit.
     """
     gyro, accel = columns.rate_rad_s.copy(), columns.force_m_s2.copy()
@@ -203,25 +280,3 @@ def _add(reading: Floats, addition: Floats | None) -> None:
     if addition is not None:
         # Adding 0.0 would turn a reading of -0.0 into 0.0.
         np.add(reading, addition, out=reading, where=addition != 0.0)
-
-
-def remove(
-    columns: Columns, effects: list[tuple[Effect, Values]], turns: int = 12
-) -> tuple[Floats, Floats]:
-    """Return the ideal readings where `columns` holds the measured ones: the inverse of `apply`.
-
-    Fixed-point iteration u <- measured - added(u), which gains a factor of the effect's slope per
-    turn (2 % or less by the data sheets). Only effects with an inverse may be given.
-    """
-    for effect, _ in effects:
-        if not effect.has_inverse:
-            raise ValueError(f"{effect.id}: has no inverse at one instant; leave it out")
-    measured_gyro, measured_accel = columns.rate_rad_s, columns.force_m_s2
-    for _ in range(turns):
-        gyro, accel = apply(columns, effects)
-        columns = replace(
-            columns,
-            rate_rad_s=measured_gyro - (gyro - columns.rate_rad_s),
-            force_m_s2=measured_accel - (accel - columns.force_m_s2),
-        )
-    return columns.rate_rad_s, columns.force_m_s2

@@ -3,13 +3,22 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from ahrs_service.effects.base import PER_AXIS, Addition, Columns, Effect, Parameter, Values
+from ahrs_service.effects.base import (
+    PER_AXIS,
+    Addition,
+    Columns,
+    Effect,
+    Parameter,
+    Triad,
+    Values,
+)
 
 
 @dataclass(frozen=True)
 class CurrentCoupling(Effect):
     """k (I - I0)."""
 
+    triads: ClassVar[tuple[Triad, ...]] = ("gyro", "accel")
     name: ClassVar[str] = "current_coupling"
     title: ClassVar[str] = "bias that follows the battery current"
     equation: ClassVar[str] = "k (I - I0)"
@@ -17,6 +26,7 @@ class CurrentCoupling(Effect):
     excited_by: ClassVar[str] = "currents from idle to full"
     taken_for: ClassVar[tuple[str, ...]] = ("vibration_rectification", "thermal_bias")
     separated_by: ClassVar[str] = "draw current at rest without motors turning"
+    not_live: ClassVar[str] = "needs the battery current, which samples do not carry"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

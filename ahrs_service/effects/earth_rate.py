@@ -6,7 +6,14 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from ahrs_service.effects.base import Addition, Columns, Effect, Parameter, Values
+from ahrs_service.effects.base import (
+    Addition,
+    Columns,
+    Effect,
+    Parameter,
+    Triad,
+    Values,
+)
 from ahrs_service.rotation import inverse_columns, rotate_columns
 
 EARTH_RATE_RAD_S: Final = 7.292115e-5
@@ -17,6 +24,7 @@ EARTH_RATE_RAD_S: Final = 7.292115e-5
 class EarthRate(Effect):
     """Body components of the Earth's rate."""
 
+    triads: ClassVar[tuple[Triad, ...]] = ("gyro",)
     name: ClassVar[str] = "earth_rate"
     title: ClassVar[str] = "rotation of the Earth"
     equation: ClassVar[str] = "body_from_ned (W cos(lat), 0, -W sin(lat))"
@@ -24,6 +32,7 @@ class EarthRate(Effect):
     excited_by: ClassVar[str] = "long rests in several headings and tilts"
     taken_for: ClassVar[tuple[str, ...]] = ("gyro_g_sensitivity",)
     separated_by: ClassVar[str] = "rest in six positions and four headings for a minute each"
+    not_live: ClassVar[str] = "needs the attitude; to the filter it is a bias of the gyro"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -3,13 +3,23 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from ahrs_service.effects.base import MATRIX, Addition, Columns, Effect, Parameter, Values
+from ahrs_service.effects.base import (
+    MATRIX,
+    Addition,
+    Columns,
+    Contribution,
+    Effect,
+    Parameter,
+    Triad,
+    Values,
+)
 
 
 @dataclass(frozen=True)
 class GSensitivity(Effect):
     """G f."""
 
+    triads: ClassVar[tuple[Triad, ...]] = ("gyro",)
     name: ClassVar[str] = "g_sensitivity"
     title: ClassVar[str] = "gyro that feels acceleration"
     equation: ClassVar[str] = "G f"
@@ -26,3 +36,7 @@ class GSensitivity(Effect):
     def add(self, columns: Columns, values: Values) -> Addition:
         """Return the rate that is felt."""
         return Addition(gyro=columns.force_m_s2 @ values["matrix_rad_s_per_m_s2"].T)
+
+    def in_calibration(self, values: Values) -> Contribution | None:
+        """Return Gamma = G."""
+        return Contribution(g_sensitivity=values["matrix_rad_s_per_m_s2"])

@@ -6,7 +6,14 @@ from typing import ClassVar
 import numpy as np
 from scipy.signal import butter, cont2discrete, lfilter, lfilter_zi
 
-from ahrs_service.effects.base import Addition, Columns, Effect, Parameter, Values
+from ahrs_service.effects.base import (
+    Addition,
+    Columns,
+    Effect,
+    Parameter,
+    Triad,
+    Values,
+)
 from ahrs_service.records import Floats
 
 _EVEN_SHARE = 1e-3
@@ -41,13 +48,17 @@ def _drawn(at_s: Floats, time_s: Floats, signal: Floats) -> Floats:
 class LowPass(Effect):
     """The reading behind one more filter."""
 
+    triads: ClassVar[tuple[Triad, ...]] = ("gyro", "accel")
     name: ClassVar[str] = "low_pass"
     title: ClassVar[str] = "sensor filter slower than believed"
     equation: ClassVar[str] = "H(s) u - u, H Butterworth of cutoff and order"
     excited_by: ClassVar[str] = "hard, short manoeuvres"
     taken_for: ClassVar[tuple[str, ...]] = ("imu_time_offset", "scale_factor")
     separated_by: ClassVar[str] = "shake the vehicle by hand at 1 to 5 Hz about each axis"
-    has_inverse: ClassVar[bool] = False
+    not_live: ClassVar[str] = (
+        "what a filter took away comes back only with amplified noise; open the filter"
+    )
+    alters_motion: ClassVar[bool] = True
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

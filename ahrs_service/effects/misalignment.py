@@ -5,13 +5,24 @@ from typing import ClassVar
 
 import numpy as np
 
-from ahrs_service.effects.base import MATRIX, Addition, Columns, Effect, Parameter, Values
+from ahrs_service.effects.base import (
+    MATRIX,
+    Addition,
+    Columns,
+    Contribution,
+    Effect,
+    Parameter,
+    Triad,
+    Values,
+)
+from ahrs_service.records import Floats
 
 
 @dataclass(frozen=True)
 class Misalignment(Effect):
     """M u, M without diagonal."""
 
+    triads: ClassVar[tuple[Triad, ...]] = ("gyro", "accel")
     name: ClassVar[str] = "misalignment"
     title: ClassVar[str] = "axes out of square"
     equation: ClassVar[str] = "M u, M without diagonal"
@@ -29,5 +40,12 @@ class Misalignment(Effect):
 
     def add(self, columns: Columns, values: Values) -> Addition:
         """Return what each axis sees of the others."""
-        matrix = values["off_diagonal"] * (1.0 - np.eye(3))
-        return self.on_triad(self.ideal(columns) @ matrix.T)
+        return self.on_triad(self.ideal(columns) @ _matrix(values).T)
+
+    def in_calibration(self, values: Values) -> Contribution | None:
+        """Return D = M."""
+        return Contribution(linear=_matrix(values))
+
+
+def _matrix(values: Values) -> Floats:
+    return np.asarray(values["off_diagonal"] * (1.0 - np.eye(3)))

@@ -6,7 +6,14 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import ndtr
 
-from ahrs_service.effects.base import Addition, Columns, Effect, Parameter, Values
+from ahrs_service.effects.base import (
+    Addition,
+    Columns,
+    Effect,
+    Parameter,
+    Triad,
+    Values,
+)
 from ahrs_service.records import Floats
 
 
@@ -14,14 +21,15 @@ from ahrs_service.records import Floats
 class Saturation(Effect):
     """clip(u, -limit, limit) - u."""
 
+    triads: ClassVar[tuple[Triad, ...]] = ("gyro", "accel")
     name: ClassVar[str] = "saturation"
     title: ClassVar[str] = "reading cut at the end of its range"
     equation: ClassVar[str] = "clip(u, -limit, limit) - u"
     excited_by: ClassVar[str] = "rates or accelerations beyond the range"
     taken_for: ClassVar[tuple[str, ...]] = ("scale_nonlinearity", "scale_factor")
     separated_by: ClassVar[str] = "repeat the hardest manoeuvre at half its strength"
-    has_inverse: ClassVar[bool] = False
-    is_limit: ClassVar[bool] = True
+    not_live: ClassVar[str] = "what is cut off is lost; choose a larger range"
+    limited_by: ClassVar[str] = "limit"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -3,13 +3,25 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from ahrs_service.effects.base import PER_AXIS, Addition, Columns, Effect, Parameter, Values
+import numpy as np
+
+from ahrs_service.effects.base import (
+    PER_AXIS,
+    Addition,
+    Columns,
+    Contribution,
+    Effect,
+    Parameter,
+    Triad,
+    Values,
+)
 
 
 @dataclass(frozen=True)
 class ScaleFactor(Effect):
     """k u."""
 
+    triads: ClassVar[tuple[Triad, ...]] = ("gyro", "accel")
     name: ClassVar[str] = "scale_factor"
     title: ClassVar[str] = "scale factor error"
     equation: ClassVar[str] = "k u"
@@ -26,3 +38,7 @@ class ScaleFactor(Effect):
     def add(self, columns: Columns, values: Values) -> Addition:
         """Return the excess of the reading."""
         return self.on_triad(values["scale_error"] * self.ideal(columns))
+
+    def in_calibration(self, values: Values) -> Contribution | None:
+        """Return D = diag(k)."""
+        return Contribution(linear=np.diag(values["scale_error"]))

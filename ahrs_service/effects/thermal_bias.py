@@ -8,9 +8,12 @@ from ahrs_service.effects.base import (
     REFERENCE_DEGC,
     Addition,
     Columns,
+    Contribution,
     Effect,
     Parameter,
+    Triad,
     Values,
+    polynomial,
 )
 
 
@@ -18,6 +21,7 @@ from ahrs_service.effects.base import (
 class ThermalBias(Effect):
     """k1 (T - T0) + k2 (T - T0)^2."""
 
+    triads: ClassVar[tuple[Triad, ...]] = ("gyro", "accel")
     name: ClassVar[str] = "thermal_bias"
     title: ClassVar[str] = "bias that follows the temperature"
     equation: ClassVar[str] = "k1 (T - T0) + k2 (T - T0)^2"
@@ -43,3 +47,8 @@ class ThermalBias(Effect):
         """Return the bias at each temperature."""
         above = (columns.temperature_degc - values["reference_degC"])[:, None]
         return self.on_triad((values["linear"] + values["quadratic"] * above) * above)
+
+    def in_calibration(self, values: Values) -> Contribution | None:
+        """Return beta(T) = k1 (T - T0) + k2 (T - T0)^2."""
+        powers = values["linear"], values["quadratic"]
+        return Contribution(bias=polynomial(values["reference_degC"], *powers))

@@ -5,7 +5,15 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from ahrs_service.effects.base import PER_AXIS, Addition, Columns, Effect, Parameter, Values
+from ahrs_service.effects.base import (
+    PER_AXIS,
+    Addition,
+    Columns,
+    Effect,
+    Parameter,
+    Triad,
+    Values,
+)
 from ahrs_service.kernel import kernel
 from ahrs_service.records import Floats
 
@@ -38,6 +46,7 @@ def branch(temperature_degc: Floats, width_degc: float) -> Floats:
 class ThermalHysteresis(Effect):
     """a h(T), h of the direction from which T came."""
 
+    triads: ClassVar[tuple[Triad, ...]] = ("gyro", "accel")
     name: ClassVar[str] = "thermal_hysteresis"
     title: ClassVar[str] = "bias that differs between warming and cooling"
     equation: ClassVar[str] = "a h, dh = 2 dT / width, -1 <= h <= 1"
@@ -45,7 +54,7 @@ class ThermalHysteresis(Effect):
     excited_by: ClassVar[str] = "warming and cooling through the same temperatures"
     taken_for: ClassVar[tuple[str, ...]] = ("thermal_rate", "thermal_lag", "thermal_bias")
     separated_by: ClassVar[str] = "hold the temperature after warming, and again after cooling"
-    has_inverse: ClassVar[bool] = True
+    not_live: ClassVar[str] = "needs the history of the temperature, which the calibration has not"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

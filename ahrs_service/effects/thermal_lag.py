@@ -11,9 +11,12 @@ from ahrs_service.effects.base import (
     REFERENCE_DEGC,
     Addition,
     Columns,
+    Contribution,
     Effect,
     Parameter,
+    Triad,
     Values,
+    polynomial,
 )
 from ahrs_service.records import Floats
 
@@ -37,6 +40,7 @@ def lagged(time_s: Floats, temperature_degc: Floats, time_constant_s: float) -> 
 class ThermalLag(Effect):
     """k (Td - T0), tau dTd/dt = T - Td."""
 
+    triads: ClassVar[tuple[Triad, ...]] = ("gyro", "accel")
     name: ClassVar[str] = "thermal_lag"
     title: ClassVar[str] = "bias that follows the temperature late"
     equation: ClassVar[str] = "k (Td - T0), tau dTd/dt = T - Td"
@@ -44,7 +48,6 @@ class ThermalLag(Effect):
     excited_by: ClassVar[str] = "temperature that rises and falls within a few time constants"
     taken_for: ClassVar[tuple[str, ...]] = ("thermal_bias", "thermal_rate", "thermal_hysteresis")
     separated_by: ClassVar[str] = "heat quickly, then hold the temperature until the bias settles"
-    has_inverse: ClassVar[bool] = False
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -70,3 +73,10 @@ class ThermalLag(Effect):
         """Return the bias at each lagged temperature."""
         acting = lagged(columns.time_s, columns.temperature_degc, float(values["time_constant_s"]))
         return self.on_triad(values["linear"] * (acting - values["reference_degC"])[:, None])
+
+    def in_calibration(self, values: Values) -> Contribution | None:
+        """Return beta(Td) = k (Td - T0), and by how much Td is late."""
+        return Contribution(
+            bias=polynomial(values["reference_degC"], values["linear"]),
+            lag_s=float(values["time_constant_s"]),
+        )

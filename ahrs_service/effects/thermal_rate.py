@@ -3,13 +3,22 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from ahrs_service.effects.base import PER_AXIS, Addition, Columns, Effect, Parameter, Values
+from ahrs_service.effects.base import (
+    PER_AXIS,
+    Addition,
+    Columns,
+    Effect,
+    Parameter,
+    Triad,
+    Values,
+)
 
 
 @dataclass(frozen=True)
 class ThermalRate(Effect):
     """k dT/dt."""
 
+    triads: ClassVar[tuple[Triad, ...]] = ("gyro", "accel")
     name: ClassVar[str] = "thermal_rate"
     title: ClassVar[str] = "bias while the temperature changes"
     equation: ClassVar[str] = "k dT/dt"
@@ -17,6 +26,7 @@ class ThermalRate(Effect):
     excited_by: ClassVar[str] = "temperature that changes fast, then slowly"
     taken_for: ClassVar[tuple[str, ...]] = ("thermal_lag", "thermal_hysteresis", "warm_up")
     separated_by: ClassVar[str] = "change the temperature at two rates, up and down"
+    not_live: ClassVar[str] = "needs the slope of the temperature, which the calibration has not"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -8,9 +8,12 @@ from ahrs_service.effects.base import (
     REFERENCE_DEGC,
     Addition,
     Columns,
+    Contribution,
     Effect,
     Parameter,
+    Triad,
     Values,
+    polynomial,
 )
 
 
@@ -18,6 +21,7 @@ from ahrs_service.effects.base import (
 class ThermalScale(Effect):
     """k (T - T0) u."""
 
+    triads: ClassVar[tuple[Triad, ...]] = ("gyro", "accel")
     name: ClassVar[str] = "thermal_scale"
     title: ClassVar[str] = "scale factor that follows the temperature"
     equation: ClassVar[str] = "k (T - T0) u"
@@ -40,3 +44,7 @@ class ThermalScale(Effect):
         """Return the change of the reading."""
         above = (columns.temperature_degc - values["reference_degC"])[:, None]
         return self.on_triad(values["per_degC"] * above * self.ideal(columns))
+
+    def in_calibration(self, values: Values) -> Contribution | None:
+        """Return D_T(T) = k (T - T0)."""
+        return Contribution(scale=polynomial(values["reference_degC"], values["per_degC"]))

@@ -3,13 +3,22 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from ahrs_service.effects.base import PER_AXIS, Addition, Columns, Effect, Parameter, Values
+from ahrs_service.effects.base import (
+    PER_AXIS,
+    Addition,
+    Columns,
+    Effect,
+    Parameter,
+    Triad,
+    Values,
+)
 
 
 @dataclass(frozen=True)
 class VibrationRectification(Effect):
     """k sigma_vib^2."""
 
+    triads: ClassVar[tuple[Triad, ...]] = ("gyro", "accel")
     name: ClassVar[str] = "vibration_rectification"
     title: ClassVar[str] = "vibration turned into bias"
     equation: ClassVar[str] = "k sigma_vib^2"
@@ -17,6 +26,9 @@ class VibrationRectification(Effect):
     excited_by: ClassVar[str] = "motors at several speeds, and off"
     taken_for: ClassVar[tuple[str, ...]] = ("current_coupling", "thermal_bias")
     separated_by: ClassVar[str] = "run the motors without propellers, or load them held down"
+    not_live: ClassVar[str] = (
+        "needs the level of vibration, which samples do not carry; mount the sensor softer"
+    )
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -5,13 +5,22 @@ from typing import ClassVar
 
 import numpy as np
 
-from ahrs_service.effects.base import PER_AXIS, Addition, Columns, Effect, Parameter, Values
+from ahrs_service.effects.base import (
+    PER_AXIS,
+    Addition,
+    Columns,
+    Effect,
+    Parameter,
+    Triad,
+    Values,
+)
 
 
 @dataclass(frozen=True)
 class WarmUp(Effect):
     """a exp(-t / tau) since power-on."""
 
+    triads: ClassVar[tuple[Triad, ...]] = ("gyro", "accel")
     name: ClassVar[str] = "warm_up"
     title: ClassVar[str] = "bias that settles after power-on"
     equation: ClassVar[str] = "a exp(-t / tau)"
@@ -19,6 +28,7 @@ class WarmUp(Effect):
     excited_by: ClassVar[str] = "a recording from power-on to some time constants after"
     taken_for: ClassVar[tuple[str, ...]] = ("thermal_bias", "thermal_lag", "thermal_rate")
     separated_by: ClassVar[str] = "switch on in a chamber held at one temperature"
+    not_live: ClassVar[str] = "needs the time since power-on, which the calibration has not"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -60,7 +60,7 @@ def learn(
     """
     known = state["lag_before_s"] > 0.0 and dt_s < LONGEST_S
     iron, row = state["iron_ut"], np.empty(3)
-    turned2 = moved2 = product = iron2 = 0.0
+    rotated2 = moved2 = product = iron2 = 0.0
     for i in range(3):
         turned = turning_ned[i] * share - state["lag_before_turning_ut_s"][i]
         moved = field_ned[i] * share - state["lag_before_field_ut"][i]
@@ -69,7 +69,7 @@ def learn(
             moved -= row[j] * iron[j]
             state["lag_before_dcm"][i, j] = dcm[i, j] * share
         moved -= state["field_lag_s"] * turned
-        turned2 += turned * turned
+        rotated2 += turned * turned
         moved2 += moved * moved
         product += turned * moved
         iron2 += hard_iron.variance_along(state, (row[0], row[1], row[2]))
@@ -77,17 +77,17 @@ def learn(
         state["lag_before_field_ut"][i] = field_ned[i] * share
     state["lag_before_s"] = dt_s
     if known:
-        _correct(state, turned2, moved2, product, 2.0 * READING_SIGMA_UT**2 + iron2 / 3.0, dt_s)
+        _correct(state, rotated2, moved2, product, 2.0 * READING_SIGMA_UT**2 + iron2 / 3.0, dt_s)
 
 
 @kernel
 def _correct(
-    state: Record, turned2: float, moved2: float, product: float, noise2: float, dt_s: float
+    state: Record, rotated2: float, moved2: float, product: float, noise2: float, dt_s: float
 ) -> None:
     """Take e2 - e1 = tau (D2 - D1) with noise along each axis; an outlier counts less."""
     variance = min(state["field_lag_variance_s2"] + LAG_WALK_S_RTS**2 * dt_s, LAG_SIGMA_S**2)
-    noise2 *= max(1.0, moved2 / (OUTLIER * (variance * turned2 + 3.0 * noise2)))
-    share = variance / (variance * turned2 + noise2)
+    noise2 *= max(1.0, moved2 / (OUTLIER * (variance * rotated2 + 3.0 * noise2)))
+    share = variance / (variance * rotated2 + noise2)
     lag_s = state["field_lag_s"] + share * product
     state["field_lag_s"] = min(max(lag_s, -LAG_LARGEST_S), LAG_LARGEST_S)
     state["field_lag_variance_s2"] = share * noise2

@@ -106,6 +106,6 @@ def correct(settings: Record, state: Record, airframe: int, flags: int) -> None:
         turned = speed * state["gate_metrics"][1]
         shown2 = state["gate_metrics"][0] ** 2 + turned * turned
         variance += shown2 / STANDARD_GRAVITY_M_S2**2
-    variance *= ACCEL_CORRELATION_S / min(state["turn_s"], LONGEST_AVERAGE_S)
+    variance *= ACCEL_CORRELATION_S / min(state["update_s"], LONGEST_AVERAGE_S)
     for axis in range(2):
         mekf.correct_tilt(state, axis, variance)

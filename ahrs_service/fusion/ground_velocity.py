@@ -31,7 +31,7 @@ AIDING_FIELDS: Final = [
     ("matched_time_ns", "i8"),
     ("matched_m_s", "f8", (2, 2)),
     ("match", "f8", 5),
-    ("velocity_surprise", "f8"),
+    ("velocity_nis", "f8"),
     ("course_doubted", "i8"),
 ]
 """Fields of the pipeline's state that this module keeps."""
@@ -145,7 +145,7 @@ def _let_go(state: Record) -> None:
         mekf.forget(p, i, 0.0)
     for i in range(5):
         state["match"][i] = 0.0
-    state["velocity_surprise"] = 0.0
+    state["velocity_nis"] = 0.0
     state["states"] = UNAIDED
 
 
@@ -216,8 +216,8 @@ def _take(state: Record, then: Velocity, later: Velocity, slope_per_s: float) ->
         mekf.correct(state, innovation, variance)
         surprise = max(surprise, min(square, SURPRISE_MAX))
         h[n] = h[LAG] = 0.0
-    state["velocity_surprise"] += SURPRISE_WEIGHT * (surprise - state["velocity_surprise"])
-    if state["velocity_surprise"] > SURPRISE_LIMIT:
+    state["velocity_nis"] += SURPRISE_WEIGHT * (surprise - state["velocity_nis"])
+    if state["velocity_nis"] > SURPRISE_LIMIT:
         _lose_heading(state)
         for i in range(2):
             correction[VELOCITY + i] -= correction[WIND + i]
@@ -241,7 +241,7 @@ def _begin(state: Record, heading_sigma_rad: float) -> None:
             p[v, v] += WIND_SIGMA_M_S**2
             p[v, w] = p[w, v] = WIND_SIGMA_M_S**2
     mekf.forget(p, LAG, LAG_SIGMA_S**2)
-    state["velocity_surprise"] = 0.0
+    state["velocity_nis"] = 0.0
     state["states"] = AIDED
 
 
@@ -297,17 +297,17 @@ def _begin_if_it_agrees(state: Record, airframe: int) -> None:
     elif state["heading_source"] == heading.FIELD:
         return
     elif told:
-        _turn_to(state, angle, MATCH_SIGMA_RAD)
+        _rotate_heading(state, angle, MATCH_SIGMA_RAD)
     elif airframe == _FIXED_WING and is_fast and state["course_doubted"] == 0:
         nose = math.atan2(state["dcm"][1, 0], state["dcm"][0, 0])
-        _turn_to(state, math.atan2(v[1], v[0]) - nose, COURSE_SIGMA_RAD)
+        _rotate_heading(state, math.atan2(v[1], v[0]) - nose, COURSE_SIGMA_RAD)
 
 
 @kernel
-def _turn_to(state: Record, angle_rad: float, sigma_rad: float) -> None:
+def _rotate_heading(state: Record, angle_rad: float, sigma_rad: float) -> None:
     """Turn to a heading that was found; what is to be corrected turns along."""
     mekf.settle(state)
-    mekf.turn_about_down(state, angle_rad)
+    mekf.rotate_about_down(state, angle_rad)
     correction, c, s = state["correction"], math.cos(angle_rad), math.sin(angle_rad)
     for k in (ANGLE, VELOCITY):
         x, y = correction[k], correction[k + 1]

@@ -17,7 +17,7 @@ import math
 from typing import Final
 
 from ahrs_service.fusion import field_lag, hard_iron
-from ahrs_service.fusion.mekf import correct_state, forget, turn_about_down, variance_of
+from ahrs_service.fusion.mekf import correct_state, forget, rotate_about_down, variance_of
 from ahrs_service.fusion.states import ANGLE
 from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Floats, Record
@@ -110,7 +110,7 @@ def find(settings: Record, state: Record) -> None:
     hard_iron.start(state)
     field_lag.start(state)
     if state["heading_source"] == NONE:
-        turn_about_down(state, settings["declination_rad"] - math.atan2(east, north))
+        rotate_about_down(state, settings["declination_rad"] - math.atan2(east, north))
         variance = min(FIRST_SIGMA_RAD**2 + _by_tilt(state), math.pi**2)
         forget(state["covariance"], ANGLE + 2, variance)
     state["heading_source"] = FIELD
@@ -189,7 +189,7 @@ def _take_average(settings: Record, state: Record) -> None:
         return
     variance = AZIMUTH_SIGMA_RAD**2 + hidden2 / _horizontal(state) ** 2 + _by_tilt(state)
     error = settings["declination_rad"] - math.atan2(east, north)
-    _turn_heading(state, math.atan2(math.sin(error), math.cos(error)), variance, dt_s)
+    _correct_heading_only(state, math.atan2(math.sin(error), math.cos(error)), variance, dt_s)
     _follow_field(state, math.sqrt(north * north + east * east), down, misfit2, dt_s)
 
 
@@ -260,7 +260,7 @@ def _lag_across2(state: Record, north: float, east: float, share: float) -> floa
 
 
 @kernel
-def _turn_heading(state: Record, error: float, variance: float, dt_s: float) -> None:
+def _correct_heading_only(state: Record, error: float, variance: float, dt_s: float) -> None:
     """Correct by an azimuth error of this variance; an outlier counts less, by its square.
 
     A magnetic error must not tilt the horizon, so the tilt is considered (Schmidt 1966): neither

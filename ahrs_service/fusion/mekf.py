@@ -31,7 +31,7 @@ MEKF_FIELDS: Final = [
     ("gain", "f8", ERROR_STATES),
     ("gains", "f8", (4, ERROR_STATES)),
     ("pending", "i8"),
-    ("turned_rows", "f8", (3, ERROR_STATES)),
+    ("row_sums", "f8", (3, ERROR_STATES)),
 ]
 """Fields of the pipeline's state that this module keeps: what a turn has corrected so far, h of a
 measurement h . x, which comes and goes zero, gains whose products the covariance has yet to lose,
@@ -52,14 +52,14 @@ def propagate(
 
     The rows are turned for all columns; of the columns only where row and column change both.
     """
-    turn_rows(p, states, rotation_s, rate, impulse, turned)
+    transition_rows(p, states, rotation_s, rate, impulse, turned)
     if states > GATED:
         for row in range(3):
-            _turn_velocity_of_row(p, row, rotation_s, impulse)
+            _transition_velocity_of_row(p, row, rotation_s, impulse)
         for row in range(VELOCITY, VELOCITY + 3):
-            _turn_velocity_of_row(p, row, rotation_s, impulse)
+            _transition_velocity_of_row(p, row, rotation_s, impulse)
     for row in range(3):
-        _turn_angle_of_row(p, row, states, rotation_s, rate)
+        _transition_angle_of_row(p, row, states, rotation_s, rate)
     for row in range(3):
         for j in range(row):
             p[row, j] = p[j, row]
@@ -74,15 +74,15 @@ def propagate(
 
 
 @inlined_kernel
-def turn_rows(
+def transition_rows(
     p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats, turned: Floats
 ) -> None:
     """Apply the transition to the rows of `p` [n, n] alone: the covariance of after and before."""
     if states > GATED:
-        _turn_velocity_rows(p, rotation_s, impulse, turned)
-        _turn_angle_rows(p, rotation_s, rate, turned)
+        _transition_velocity_rows(p, rotation_s, impulse, turned)
+        _transition_angle_rows(p, rotation_s, rate, turned)
     else:
-        _turn_gated_rows(p, rotation_s, turned)
+        _transition_gated_rows(p, rotation_s, turned)
 
 
 # Sums of rows go to `turned` first: only where what is read is not what is written can the compiler
@@ -90,7 +90,9 @@ def turn_rows(
 
 
 @inlined_kernel
-def _turn_velocity_rows(p: Floats, rotation_s: Floats, impulse: Floats, turned: Floats) -> None:
+def _transition_velocity_rows(
+    p: Floats, rotation_s: Floats, impulse: Floats, turned: Floats
+) -> None:
     v, w = VELOCITY, ACCEL_BIAS
     for i in range(3):
         k, m = (i + 1) % 3, (i + 2) % 3
@@ -106,7 +108,7 @@ def _turn_velocity_rows(p: Floats, rotation_s: Floats, impulse: Floats, turned: 
 
 
 @inlined_kernel
-def _turn_angle_rows(p: Floats, rotation_s: Floats, rate: Floats, turned: Floats) -> None:
+def _transition_angle_rows(p: Floats, rotation_s: Floats, rate: Floats, turned: Floats) -> None:
     a, b, c = rate[0], rate[1], rate[2]
     for i in range(3):
         n, m = GYRO_BIAS + i, GYRO_MATRIX + 3 * i
@@ -119,7 +121,7 @@ def _turn_angle_rows(p: Floats, rotation_s: Floats, rate: Floats, turned: Floats
 
 
 @inlined_kernel
-def _turn_gated_rows(p: Floats, rotation_s: Floats, turned: Floats) -> None:
+def _transition_gated_rows(p: Floats, rotation_s: Floats, turned: Floats) -> None:
     for i in range(3):
         for j in range(GATED):
             turned[i, j] = p[GYRO_BIAS + i, j]
@@ -130,7 +132,7 @@ def _turn_gated_rows(p: Floats, rotation_s: Floats, turned: Floats) -> None:
 
 
 @inlined_kernel
-def _turn_velocity_of_row(p: Floats, n: int, rotation_s: Floats, impulse: Floats) -> None:
+def _transition_velocity_of_row(p: Floats, n: int, rotation_s: Floats, impulse: Floats) -> None:
     """Apply the transition to the velocity in row `n`, by its angle before."""
     x, y, z = p[n, 0], p[n, 1], p[n, 2]
     u, v, w = p[n, ACCEL_BIAS], p[n, ACCEL_BIAS + 1], p[n, ACCEL_BIAS + 2]
@@ -146,7 +148,9 @@ def _turn_velocity_of_row(p: Floats, n: int, rotation_s: Floats, impulse: Floats
 
 
 @inlined_kernel
-def _turn_angle_of_row(p: Floats, n: int, states: int, rotation_s: Floats, rate: Floats) -> None:
+def _transition_angle_of_row(
+    p: Floats, n: int, states: int, rotation_s: Floats, rate: Floats
+) -> None:
     """Apply the transition to the angle in row `n`."""
     a, b, c = p[n, GYRO_BIAS], p[n, GYRO_BIAS + 1], p[n, GYRO_BIAS + 2]
     if states > GATED:
@@ -320,7 +324,7 @@ def apply_correction(state: Record) -> None:
         state["velocity_ned_m_s"][i] += added
         # The velocity that a correction adds turns with the attitude as that of an impulse does
         # (the error state of an invariant filter: Barrau, Bonnabel 2017).
-        state["turn_impulse_m_s"][i] += added
+        state["delta_velocity_m_s"][i] += added
         state["accel_bias_m_s2"][i] += correction[ACCEL_BIAS + i]
         for j in range(3):
             state["gyro_matrix"][i, j] += correction[GYRO_MATRIX + 3 * i + j]
@@ -330,7 +334,7 @@ def apply_correction(state: Record) -> None:
 
 
 @kernel
-def turn_about_down(state: Record, angle_rad: float) -> None:
+def rotate_about_down(state: Record, angle_rad: float) -> None:
     """Turn all that is told in earth axes: attitude, velocity, force and their covariance."""
     q, c, s = state["ned_from_body"], math.cos(angle_rad), math.sin(angle_rad)
     multiply(from_rotation_vector(0.0, 0.0, angle_rad), q, q)
@@ -346,7 +350,7 @@ def turn_about_down(state: Record, angle_rad: float) -> None:
     v = state["history_m_s"]
     for n in range(v.shape[1]):
         v[0, n], v[1, n] = c * v[0, n] - s * v[1, n], s * v[0, n] + c * v[1, n]
-    state["turned_rad"] += angle_rad
+    state["rotated_rad"] += angle_rad
     p, applied = state["covariance"], state["applied"]
     for k in (ANGLE, VELOCITY, WIND):
         x, y = applied[k], applied[k + 1]

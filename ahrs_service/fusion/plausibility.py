@@ -27,17 +27,21 @@ PLAUSIBILITY_FIELDS: Final = [
     ("spike_time_ns", "i8"),
     ("raw_before_rad_s", "f8", 3),
     ("repeats", "i8", 3),
-    ("gyro_is_blind", "i8", 3),
-    ("blind_s", "f8", 3),
+    ("gyro_is_unobserved", "i8", 3),
+    ("unobserved_s", "f8", 3),
 ]
 """Fields of the pipeline's state that this module keeps; the last: how often each axis of the gyro
 showed the number before again, whether it clips or is stuck, and for how long it was [s]."""
 
 
 @inlined_kernel
-def _find_blind(state: Record, raw: Floats, range_rad_s: float) -> bool:
+def _find_unobserved(state: Record, raw: Floats, range_rad_s: float) -> bool:
     """Find axes of the gyro that clip, or stood still while the vehicle turned; whether any is."""
-    before, repeats, blind = state["raw_before_rad_s"], state["repeats"], state["gyro_is_blind"]
+    before, repeats, blind = (
+        state["raw_before_rad_s"],
+        state["repeats"],
+        state["gyro_is_unobserved"],
+    )
     moved = raw[0] != before[0] or raw[1] != before[1] or raw[2] != before[2]
     turns = raw[0] * raw[0] + raw[1] * raw[1] + raw[2] * raw[2] > TURNING_RAD_S**2
     found = False
@@ -51,7 +55,7 @@ def _find_blind(state: Record, raw: Floats, range_rad_s: float) -> bool:
         stuck = turns and repeats[i] >= STUCK_SAMPLES and raw[i] != 0.0
         blind[i] = 1 if stuck or abs(raw[i]) >= range_rad_s else 0
         if blind[i] == 0:
-            state["blind_s"][i] = 0.0
+            state["unobserved_s"][i] = 0.0
         found = found or blind[i] != 0
     return found
 
@@ -70,7 +74,7 @@ def check(settings: Record, state: Record, sample: Record, gyro: Floats, accel: 
         jump2 += (gyro[i] - state["rate_rad_s"][i] - state["gyro_bias_rad_s"][i]) ** 2
     if not gyro_finite:
         return _NOT_FINITE
-    if _find_blind(state, sample["gyro_rad_s"], settings["gyro_range_rad_s"]) or clipped:
+    if _find_unobserved(state, sample["gyro_rad_s"], settings["gyro_range_rad_s"]) or clipped:
         flags |= _SATURATED
     if not accel_finite:
         flags |= _ACCEL_MISSING

@@ -24,31 +24,31 @@ from ahrs_service.records import Flag, Floats, Record
 from ahrs_service.rotation import matrix
 
 PROPAGATION_FIELDS: Final = [
-    ("turn_s", "f8"),
-    ("turn_rotation_s", "f8", (3, 3)),
-    ("turn_impulse_m_s", "f8", 3),
-    ("turn_gyro_rad", "f8", 3),
-    ("turn_force_m_s", "f8", 3),
-    ("turn_force_s", "f8"),
-    ("turn_angle_variance", "f8"),
-    ("turn_shake_variance", "f8"),
-    ("turn_velocity_variance", "f8"),
-    ("turn_bias_variance", "f8"),
-    ("turn_degc", "f8"),
+    ("update_s", "f8"),
+    ("update_rotation_s", "f8", (3, 3)),
+    ("delta_velocity_m_s", "f8", 3),
+    ("delta_angle_rad", "f8", 3),
+    ("update_force_m_s", "f8", 3),
+    ("update_force_s", "f8"),
+    ("update_angle_variance", "f8"),
+    ("update_shake_variance", "f8"),
+    ("update_velocity_variance", "f8"),
+    ("update_bias_variance", "f8"),
+    ("update_degc", "f8"),
     ("rate_earlier_rad_s", "f8", 3),
     ("accel_before_m_s2", "f8", 3),
     ("force_before_ned_m_s2", "f8", 3),
     ("force_now_ned_m_s2", "f8", 3),
     ("arc_force_m_s2", "f8", 3),
     ("interval_before_s", "f8"),
-    ("turn_blind_variance", "f8", 3),
+    ("unobserved_variance", "f8", 3),
     ("applied", "f8", ERROR_STATES),
-    ("turned_rad", "f8"),
+    ("rotated_rad", "f8"),
 ]
 """Fields of the pipeline's state that this module keeps; the last two: what was corrected since
 the covariance last grew, and how far all was turned about down [rad]."""
 
-TURN_S: Final = 0.12
+UPDATE_S: Final = 0.12
 """Corrections 8 times a second follow what drifts over seconds; shorter turns gain nothing."""
 GAP_RATE_SIGMA_RAD_S: Final = 1.0
 """What a small UAV may have turned, per second that no sample came [rad/s]."""
@@ -87,26 +87,26 @@ def move(
     before, rate = state["rate_before_rad_s"], state["rate_rad_s"]
     earlier, dcm = state["rate_earlier_rad_s"], state["dcm"]
     unknown2, rate2 = _take_rate(state, gyro, dt_s)
-    state["turn_angle_variance"] += settings["gyro_scale_error_rts"] ** 2 * rate2 * dt_s
+    state["update_angle_variance"] += settings["gyro_scale_error_rts"] ** 2 * rate2 * dt_s
     if flags & _GAP:
-        state["turn_angle_variance"] += (GAP_RATE_SIGMA_RAD_S * dt_s) ** 2
+        state["update_angle_variance"] += (GAP_RATE_SIGMA_RAD_S * dt_s) ** 2
         state["interval_before_s"] = 0.0
     else:
-        state["turn_shake_variance"] += unknown2 * dt_s * dt_s
+        state["update_shake_variance"] += unknown2 * dt_s * dt_s
         before_s, is_mean = state["interval_before_s"], settings["samples_are_means"] != 0
         state["interval_before_s"] = dt_s
         strapdown.rotate(state["ned_from_body"], earlier, before, rate, before_s, dt_s, is_mean)
     if flags & _SATURATED:
-        _count_blind(state, dt_s)
+        _count_unobserved(state, dt_s)
     pull_per_s = 1.0 / (settings["smoothing_s"] + dt_s)
     _smooth_rate(state, rate, pull_per_s, dt_s)
     matrix(state["ned_from_body"], dcm)
     for i in range(3):
         for j in range(3):
-            state["turn_rotation_s"][i, j] += dcm[i, j] * dt_s
-    state["turn_s"] += dt_s
+            state["update_rotation_s"][i, j] += dcm[i, j] * dt_s
+    state["update_s"] += dt_s
     if flags & (_GAP | _ACCEL_MISSING):
-        state["turn_velocity_variance"] += (GAP_FORCE_SIGMA_M_S2 * dt_s) ** 2
+        state["update_velocity_variance"] += (GAP_FORCE_SIGMA_M_S2 * dt_s) ** 2
     else:
         norm2 = _average_force(state, accel, pull_per_s * dt_s)
         if settings["use_velocity"] != 0:
@@ -114,14 +114,14 @@ def move(
 
 
 @kernel
-def _count_blind(state: Record, dt_s: float) -> None:
+def _count_unobserved(state: Record, dt_s: float) -> None:
     """Widen the angle about an axis whose rate is not known, and stays so: by time squared."""
     for i in range(3):
-        before_s = state["blind_s"][i]
-        if state["gyro_is_blind"][i] != 0:
-            state["blind_s"][i] = before_s + dt_s
+        before_s = state["unobserved_s"][i]
+        if state["gyro_is_unobserved"][i] != 0:
+            state["unobserved_s"][i] = before_s + dt_s
             grown_s2 = dt_s * (2.0 * before_s + dt_s)
-            state["turn_blind_variance"][i] += GAP_RATE_SIGMA_RAD_S**2 * grown_s2
+            state["unobserved_variance"][i] += GAP_RATE_SIGMA_RAD_S**2 * grown_s2
 
 
 @inlined_kernel
@@ -138,7 +138,7 @@ def _take_rate(state: Record, gyro: Floats, dt_s: float) -> tuple[float, float]:
         before[i] = rate[i]
         crossed = m[i, 0] * gyro[0] + m[i, 1] * gyro[1] + m[i, 2] * gyro[2]
         rate[i] = gyro[i] - state["gyro_bias_rad_s"][i] - crossed
-        state["turn_gyro_rad"][i] += gyro[i] * dt_s
+        state["delta_angle_rad"][i] += gyro[i] * dt_s
         change = rate[i] - before[i]
         bend = change - (before[i] - earlier[i])
         change2 += change * change
@@ -186,14 +186,14 @@ def _move_velocity(
         else:
             mean = 0.5 * (before[i] + now[i])
         before[i] = now[i]
-        state["turn_force_m_s"][i] += accel[i] * dt_s
-        state["turn_impulse_m_s"][i] += mean * dt_s
+        state["update_force_m_s"][i] += accel[i] * dt_s
+        state["delta_velocity_m_s"][i] += mean * dt_s
         state["velocity_ned_m_s"][i] += mean * dt_s
     state["velocity_ned_m_s"][2] += STANDARD_GRAVITY_M_S2 * dt_s
-    state["turn_force_s"] += dt_s
-    state["turn_velocity_variance"] += _velocity_noise2(settings, state, airframe, norm2) * dt_s
+    state["update_force_s"] += dt_s
+    state["update_velocity_variance"] += _velocity_noise2(settings, state, airframe, norm2) * dt_s
     bias_walk_rts = settings["shaken_bias_walk_s_m_rts"][airframe]
-    state["turn_bias_variance"] += bias_walk_rts * bias_walk_rts * shake2 * dt_s
+    state["update_bias_variance"] += bias_walk_rts * bias_walk_rts * shake2 * dt_s
 
 
 @kernel
@@ -221,24 +221,24 @@ def grow(settings: Record, state: Record, degc: float, is_compensated: bool) -> 
     `degc` is the sensor's temperature, NaN if unknown; `is_compensated` whether its drift is taken
     away by a calibration, where there is one.
     """
-    p, states, turn_s = state["covariance"], state["states"], state["turn_s"]
-    rate = state["turn_gyro_rad"]
-    state["turned_rad"] = 0.0
+    p, states, update_s = state["covariance"], state["states"], state["update_s"]
+    rate = state["delta_angle_rad"]
+    state["rotated_rad"] = 0.0
     for i in range(ERROR_STATES):
         state["applied"][i] = state["correction"][i] = 0.0
     for i in range(3):
-        rate[i] /= turn_s
-    rotation_s, impulse = state["turn_rotation_s"], state["turn_impulse_m_s"]
-    mekf.propagate(p, states, rotation_s, rate, impulse, state["turned_rows"])
+        rate[i] /= update_s
+    rotation_s, impulse = state["update_rotation_s"], state["delta_velocity_m_s"]
+    mekf.propagate(p, states, rotation_s, rate, impulse, state["row_sums"])
     # The shake that was seen has the gyro's noise in it.
-    noise = max(settings["gyro_noise_rad_s_rthz"] ** 2 * turn_s, state["turn_shake_variance"])
-    angle = noise + state["turn_angle_variance"]
-    bias = settings["gyro_bias_walk_rad_s2_rthz"] ** 2 * turn_s + state["turn_bias_variance"]
+    noise = max(settings["gyro_noise_rad_s_rthz"] ** 2 * update_s, state["update_shake_variance"])
+    angle = noise + state["update_angle_variance"]
+    bias = settings["gyro_bias_walk_rad_s2_rthz"] ** 2 * update_s + state["update_bias_variance"]
     per_rtdegc = settings["gyro_bias_per_rtdegc_rad_s"]
     if is_compensated:
         per_rtdegc = settings["compensated_bias_per_rtdegc_rad_s"]
     bias += per_rtdegc**2 * _warmed(state, degc)
-    dcm, blind = state["dcm"], state["turn_blind_variance"]
+    dcm, blind = state["dcm"], state["unobserved_variance"]
     for i in range(3):
         p[i, i] += angle
         if blind[i] > 0.0:
@@ -247,10 +247,10 @@ def grow(settings: Record, state: Record, degc: float, is_compensated: bool) -> 
                     p[j, k] += blind[i] * dcm[j, i] * dcm[k, i]
         p[GYRO_BIAS + i, GYRO_BIAS + i] += bias
         if states > GATED:
-            p[VELOCITY + i, VELOCITY + i] += state["turn_velocity_variance"]
-            p[ACCEL_BIAS + i, ACCEL_BIAS + i] += ACCEL_BIAS_WALK**2 * turn_s
+            p[VELOCITY + i, VELOCITY + i] += state["update_velocity_variance"]
+            p[ACCEL_BIAS + i, ACCEL_BIAS + i] += ACCEL_BIAS_WALK**2 * update_s
         if states == AIDED and i < 2:
-            p[WIND + i, WIND + i] += WIND_WALK_M_S_RTS**2 * turn_s
+            p[WIND + i, WIND + i] += WIND_WALK_M_S_RTS**2 * update_s
     bound_attitude(p, states)
 
 
@@ -259,23 +259,23 @@ def _warmed(state: Record, degc: float) -> float:
     """By how much the temperature changed since the last turn [degC]."""
     if math.isnan(degc):
         return 0.0
-    change = abs(degc - state["turn_degc"])
-    state["turn_degc"] = degc
+    change = abs(degc - state["update_degc"])
+    state["update_degc"] = degc
     return 0.0 if math.isnan(change) else change
 
 
 @kernel
-def begin_turn(state: Record) -> None:
+def begin_update(state: Record) -> None:
     """Set the turn's integrals to zero."""
-    state["turn_s"] = 0.0
-    state["turn_angle_variance"] = state["turn_shake_variance"] = 0.0
-    state["turn_velocity_variance"] = 0.0
-    state["turn_bias_variance"] = 0.0
-    state["turn_force_s"] = 0.0
+    state["update_s"] = 0.0
+    state["update_angle_variance"] = state["update_shake_variance"] = 0.0
+    state["update_velocity_variance"] = 0.0
+    state["update_bias_variance"] = 0.0
+    state["update_force_s"] = 0.0
     for i in range(3):
-        state["turn_blind_variance"][i] = 0.0
-        state["turn_impulse_m_s"][i] = 0.0
-        state["turn_gyro_rad"][i] = 0.0
-        state["turn_force_m_s"][i] = 0.0
+        state["unobserved_variance"][i] = 0.0
+        state["delta_velocity_m_s"][i] = 0.0
+        state["delta_angle_rad"][i] = 0.0
+        state["update_force_m_s"][i] = 0.0
         for j in range(3):
-            state["turn_rotation_s"][i, j] = 0.0
+            state["update_rotation_s"][i, j] = 0.0

@@ -63,7 +63,7 @@ def smooth(nodes: Rows, used: int, estimates: Rows) -> None:
         if chained:
             earlier = nodes[j - 1]
             _undo(node, after, ps, before)
-            yaw += node["turned_rad"]
+            yaw += node["rotated_rad"]
             for i in range(ERROR_STATES):
                 end[i] = ps[i, i]
             _step_back(node, earlier, before, d, ps, work)
@@ -128,12 +128,12 @@ def _undo(node: Record, after: Floats, ps: Floats, before: Floats) -> None:
             before[i] = 0.0
             for k in range(ERROR_STATES):
                 ps[i, k] = ps[k, i] = 0.0
-    if node["turned_rad"] != 0.0:
-        _turn_back(node["turned_rad"], ps, before)
+    if node["rotated_rad"] != 0.0:
+        _rotate_back(node["rotated_rad"], ps, before)
 
 
 @kernel
-def _turn_back(angle_rad: float, ps: Floats, before: Floats) -> None:
+def _rotate_back(angle_rad: float, ps: Floats, before: Floats) -> None:
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     for k in (0, VELOCITY, WIND):
         x, y = before[k], before[k + 1]
@@ -158,7 +158,7 @@ def _step_back(
     gain[:] = p
     rotation_s, rate, impulse = node["rotation_s"], node["rate_rad_s"], node["impulse_m_s"]
     # `change` is written only afterwards: room till then.
-    mekf.turn_rows(gain, n, rotation_s, rate, impulse, change)
+    mekf.transition_rows(gain, n, rotation_s, rate, impulse, change)
     mekf.propagate(predicted, n, rotation_s, rate, impulse, change)
     _add_noise(predicted, gain, n, node["variance"])
     for i in range(n):

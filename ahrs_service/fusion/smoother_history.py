@@ -25,7 +25,7 @@ NODE_DTYPE: Final = np.dtype(
         ("states_before", "i8"),
         ("states", "i8"),
         ("in_wind", "i8"),
-        ("turned_rad", "f8"),
+        ("rotated_rad", "f8"),
         ("rotation_s", "f8", (3, 3)),
         ("rate_rad_s", "f8", 3),
         ("impulse_m_s", "f8", 3),
@@ -56,10 +56,10 @@ def arrive(state: Record, node: Record) -> None:
     node["states_before"] = state["states"]
     node["in_wind"] = 1 - state["at_rest"]
     for i in range(3):
-        node["rate_rad_s"][i] = state["turn_gyro_rad"][i]
-        node["impulse_m_s"][i] = state["turn_impulse_m_s"][i]
+        node["rate_rad_s"][i] = state["delta_angle_rad"][i]
+        node["impulse_m_s"][i] = state["delta_velocity_m_s"][i]
         for j in range(3):
-            node["rotation_s"][i, j] = state["turn_rotation_s"][i, j]
+            node["rotation_s"][i, j] = state["update_rotation_s"][i, j]
     for i in range(ERROR_STATES):
         node["variance"][i] = state["covariance"][i, i]
 
@@ -78,7 +78,7 @@ def close(state: Record, node: Record, sample: int) -> int:
         node["kind"] = START
     node["sample"] = sample
     node["states"] = state["states"]
-    node["turned_rad"] = state["turned_rad"]
+    node["rotated_rad"] = state["rotated_rad"]
     for i in range(ERROR_STATES):
         node["applied"][i] = state["applied"][i]
     _keep_covariance(state, node)

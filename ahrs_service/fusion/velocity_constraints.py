@@ -85,9 +85,9 @@ def bound_velocity(settings: Record, state: Record, airframe: int, dt_s: float) 
         if i == 0 and _airspeed_is_usable(settings, state, airframe):
             expected = state["airspeed_m_s"]
             sigma, correlation_s, drag_s = AIRSPEED_SIGMA_M_S, AIRSPEED_CORRELATION_S, 0.0
-        if state["turn_force_s"] > 0.0 and drag_s > 0.0:
+        if state["update_force_s"] > 0.0 and drag_s > 0.0:
             level = -STANDARD_GRAVITY_M_S2 if i == 2 else 0.0
-            by_drag = -drag_s * (state["turn_force_m_s"][i] / state["turn_force_s"] - level)
+            by_drag = -drag_s * (state["update_force_m_s"][i] / state["update_force_s"] - level)
             expected += by_drag
             # A wing's slip is small against its speed: there the size alone is doubted.
             unlike = by_drag if airframe == _FIXED_WING else expected - _speed_along(state, i)

@@ -23,7 +23,7 @@ def output_of_axis(triad: Record, segment: int, rest_degc: float, axis: int, lev
     """Output N of one axis where (K + dK) A + B + G f = `level`.
 
     Solves a N^2 - (1 - b) N + (c + level) = 0 for the root that is `level` where the drift is
-    nil, in the form that does not cancel; NaN where the parabola never reaches the level.
+    zero, in the form that does not cancel; NaN where the parabola never reaches the level.
     """
     if segment < 0:
         return level

@@ -13,7 +13,7 @@ c, the improved one a, b and c, a smooth one c and dK; to the kernels they are t
 T is the temperature that acts: a sensing element warms later than the thermometer shows
 (`thermal_lag_s` > 0) or, where the thermometer stands apart, before it (< 0): sensor.thermometer.
 
-As TOML, for app.calibration_file (what is left out is nil):
+As TOML, for app.calibration_file (what is left out is zero):
 
     serial = "A0042"
     [gyro]

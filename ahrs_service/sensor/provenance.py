@@ -71,7 +71,7 @@ class Provenance:
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
-    """How well the figures of one triad are known, 1-sigma; None and empty where not told.
+    """How well the figures of one triad are known, 1-sigma; None and empty where not known.
 
     `bias_residual` [3] is what the calibration leaves of the bias over its temperatures (RMS, of
     data that the fit has not seen where there is any) [unit]: the filter's prior of the bias.

@@ -43,8 +43,8 @@ class Holds:
     """Means over holds [N] of HOLD_S: what the unit gave, what it was meant to feel, and felt.
 
     `thermometer_degc` [N, M] is what the thermometer showed at each sample, `temperature_degc` [N]
-    the mean of it; `hold` [N] numbers what the table was told, alike for like commands; `is_still`
-    [N] where the table stood. The `true_` columns are for judging alone.
+    the mean of it; `hold` [N] numbers what the table was commanded, alike for like commands;
+    `is_still` [N] where the table stood. The `true_` columns are for judging alone.
     """
 
     time_s: Floats
@@ -92,9 +92,9 @@ def draw(seed: int) -> tuple[Unit, "Bench"]:
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """Both tables and the chamber; `mounting_turns` [3, 3] rotation vectors [rad] of the faults."""
+    """Both tables and the chamber; `mounting_rotations` [3, 3] rotation vectors of the faults."""
 
-    mounting_turns: Floats
+    mounting_rotations: Floats
     rng: np.random.Generator
 
     def room(self, unit: Unit) -> Holds:
@@ -120,7 +120,7 @@ class Bench:
         runs = []
         for axis in range(3):
             rate, force, hold, still = _cycle(axis, len(air) // round(HOLD_S * SAMPLE_HZ))
-            turn = Rotation.from_rotvec(self.mounting_turns[axis])
+            turn = Rotation.from_rotvec(self.mounting_rotations[axis])
             run = self._measure(unit, air, turn.apply(rate), turn.apply(force), hold, still)
             run = replace(
                 run,

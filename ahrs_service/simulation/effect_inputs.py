@@ -45,10 +45,10 @@ def needed(
 ) -> list[tuple[Effect, Values]]:
     """Return the effects if all they need is known; ValueError names what is not."""
     for effect, _ in effects:
-        for name in effect.needs:
-            if not columns.knows(name):
-                raise InvalidValueError(
-                    f"{effect.id} needs {name}, which is not known here: "
-                    "leave the effect out, or simulate a recording that has it"
-                )
+        name = effect.unknown_need(columns)
+        if name is not None:
+            raise InvalidValueError(
+                f"{effect.id} needs {name}, which is not known here: "
+                "leave the effect out, or simulate a recording that has it"
+            )
     return list(effects)

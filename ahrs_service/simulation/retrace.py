@@ -37,7 +37,7 @@ def retrace(
 ) -> Flight:
     """Return the flight that `imu` makes along `track`, at times [N] [s] `rate_hz` apart.
 
-    The autopilot's own attitude is the track's. What is unknown of the surroundings is nil in the
+    The autopilot's own attitude is the track's. What is unknown of the surroundings is zero in the
     messages, the temperature that of the calibration's room. ValueError where the track is too
     short, or an effect needs what is unknown.
     """

@@ -11,7 +11,7 @@ from ahrs_service.records import Record
 from ahrs_service.rotation import to_euler
 from ahrs_service.settings import PublishSettings
 
-_MS_PER_TURN: Final = 1 << 32
+_MS_PER_WRAP: Final = 1 << 32
 _LARGEST: Final = float(np.finfo(np.float32).max)
 _NAMES: Final = (b"AhrsGate", b"AhrsResid", b"AhrsSigma")
 
@@ -80,7 +80,7 @@ def _float32(values: Iterable[float]) -> list[float]:
 
 def boot_ms(estimate: Record) -> int:
     """Return the estimate's time as the 32-bit milliseconds of MAVLink."""
-    return int(estimate["time_ns"]) // 1_000_000 % _MS_PER_TURN
+    return int(estimate["time_ns"]) // 1_000_000 % _MS_PER_WRAP
 
 
 def attitude_quaternion(estimate: Record) -> Any:

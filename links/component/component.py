@@ -15,7 +15,7 @@ from ahrs_service.links.component.status_texts import StatusTexts
 from ahrs_service.links.component.timesync import TimeSync
 from ahrs_service.links.component.trim_request import TrimRequest
 from ahrs_service.links.component.unit_request import UnitRequest
-from ahrs_service.links.component.vehicle_adoption import Neighbours, Sender, Traffic
+from ahrs_service.links.component.vehicle_adoption import Sender, Traffic, VehicleAdoption
 from ahrs_service.links.mavlink.codec import dialect
 from ahrs_service.records import Phase, Record
 from ahrs_service.settings import Settings
@@ -25,7 +25,7 @@ VEHICLE_LOST_S: Final = 5.0
 HEARTBEAT_LATE_S: Final = 2.5
 """The link stalls: it is no time to ask for anything, nor to judge what comes."""
 ESTIMATE_STALE_S: Final = 1.0
-RESTART_TOLD_S: Final = 10.0
+RESTART_SIGNS_S: Final = 10.0
 """Two signs of one restart (SYSTEM_TIME, TIMESYNC) come within this time."""
 _EVENTS: Final = 64
 _BOOT_WRAP_MS: Final = 1 << 32
@@ -51,7 +51,7 @@ class Component:
         self.component = settings.link.component
         self.timesync = TimeSync()
         self.intervals = Intervals(_wanted(settings))
-        self._neighbours = Neighbours(settings)
+        self._neighbours = VehicleAdoption(settings)
         self._parameters = ParameterServer(settings)
         self._publisher = Publisher(settings.publish)
         self._events: deque[tuple[str, str]] = deque(maxlen=_EVENTS)
@@ -166,7 +166,7 @@ class Component:
 
     def _restart(self, now_s: float) -> None:
         """Begin anew with an autopilot that forgot what was asked of it."""
-        if now_s - self._restarted_s < RESTART_TOLD_S:
+        if now_s - self._restarted_s < RESTART_SIGNS_S:
             return
         self._restarted_s = now_s
         self._tell("warning", "the autopilot restarted; asking for its messages anew")

@@ -51,7 +51,7 @@ def _patience_s(attempt: int) -> float:
 class ParameterClient:
     """An open conversation with one autopilot; use it in `async with`.
 
-    `say` is told what the link says. The first autopilot heard is the one, by HEARTBEAT.autopilot,
+    `say` receives what the link reports. The first autopilot heard (by HEARTBEAT) is the one,
     or that of `system`; `autopilot`, `system` and `component` are known inside the `async with`,
     and `others` are the systems of further autopilots heard. Every failure is a ParamError that
     says what to do.
@@ -82,7 +82,7 @@ class ParameterClient:
 
     @property
     def is_chosen(self) -> bool:
-        """Whether it was told which system to speak to."""
+        """Whether the system to speak to was given."""
         return self._wanted_system != 0
 
     @property
@@ -207,7 +207,7 @@ class ParameterClient:
         missing = self._missing(wanted)
         if missing and not await self.is_alive():
             raise ParamError(
-                f"{self._link.uri}: the vehicle fell silent before it told {missing[0]}; check the "
+                f"{self._link.uri}: the vehicle fell silent before it sent {missing[0]}; check the "
                 "link and run the command again"
             )
         return {name: self._told[name] for name in wanted if name in self._told}

@@ -11,7 +11,7 @@ _ARDUPILOT: Final = int(dialect.MAV_AUTOPILOT_ARDUPILOTMEGA)
 
 
 class TrimRequest:
-    """Asks for each parameter until it is told: eight times, each time waiting twice as long."""
+    """Asks for each parameter until it arrives: eight times, each time waiting twice as long."""
 
     def __init__(self) -> None:
         self._missing: set[str] = set()

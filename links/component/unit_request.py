@@ -1,4 +1,4 @@
-"""Which autopilot it is, by the number of its board: asked for, and read where it is told."""
+"""Which autopilot it is, by the number of its board: requested, and read where it is reported."""
 
 from typing import Any, Final
 
@@ -13,9 +13,9 @@ def unit_name(uid: int, uid2: bytes) -> str:
 
     Empty where the autopilot tells neither.
     """
-    told = uid2.rstrip(b"\0")
-    if told:
-        return told.hex()
+    number = uid2.rstrip(b"\0")
+    if number:
+        return number.hex()
     return f"{uid:016x}" if uid else ""
 
 

@@ -28,7 +28,7 @@ class Traffic:
     by_stranger: Counter[Sender] = field(default_factory=Counter)
 
 
-class Neighbours:
+class VehicleAdoption:
     """Adopts the first autopilot that the settings allow, and stays with it.
 
     `vehicle` is its address, (-1, -1) before; `system` our own system number, 0 before; `events`

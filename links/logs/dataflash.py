@@ -111,7 +111,7 @@ def _clock_note(rate: float) -> tuple[str, ...]:
 
 
 def _vehicle(log: DataFlashFile) -> int:
-    """Return the MAV_TYPE of the firmware that wrote the log, 0 (generic) where it is not told."""
+    """Return the MAV_TYPE of the firmware that wrote the log, 0 (generic) where it is not known."""
     for text in _first_texts(log):
         for name, vehicle in _VEHICLES:
             if name in text:
@@ -127,7 +127,7 @@ def _first_texts(log: DataFlashFile) -> list[bytes]:
 
 
 def _unit(log: DataFlashFile) -> str:
-    """Return the number of the board, as in "CUAVv5 0025001E 31385115 35333837"; "" if not told.
+    """Return the number of the board, as in "CUAVv5 0025001E 31385115 35333837"; "" if not known.
 
     The words are written with their last byte first; AUTOPILOT_VERSION.uid2 has the bytes in order.
     """

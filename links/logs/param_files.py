@@ -31,7 +31,7 @@ _QGC_FIELDS: Final = 5
 
 @dataclass(frozen=True, slots=True)
 class ParamValue:
-    """The value of one parameter and its MAV_PARAM_TYPE; a 32-bit float unless told."""
+    """The value of one parameter and its MAV_PARAM_TYPE; a 32-bit float unless given."""
 
     value: float
     type: int = REAL32

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ahrs_service.links.logs.tlog import TlogFile
 from ahrs_service.links.transport.link import Link, LinkState
 
-TURN: Final = 64
+BURST: Final = 64
 """Frames sent before the event loop gets a turn although more are due."""
 RETRY_S: Final = 0.001
 RETRIES: Final = 1000
@@ -58,7 +58,7 @@ async def play(
     begin_s = loop.time()
     for i, at_s in enumerate(due):
         wait_s = at_s - (loop.time() - begin_s)
-        if wait_s > 0 or i % TURN == 0:
+        if wait_s > 0 or i % BURST == 0:
             progress(i)
             await asyncio.sleep(max(wait_s, 0.0))
         if await _send(link, bytes(data[starts[i] : stops[i]])):

@@ -17,12 +17,12 @@ from ahrs_service.links.logs.tlog import TlogFile, read_tlog
 from ahrs_service.links.mavlink.codec import dialect
 
 _INVALID: Final = int(dialect.MAV_AUTOPILOT_INVALID)
-Told = Iterable[tuple[str, float]]
+Reported = Iterable[tuple[str, float]]
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedParameters:
-    """Values by name, the last told each, and which of them were told differently before.
+    """Values by name, the last of each, and which of them had another value before.
 
     `autopilot` is MAV_AUTOPILOT, 0 where the recording does not say; `notes` are for the user.
     """
@@ -50,8 +50,8 @@ class _History:
     values: dict[str, float] = field(default_factory=dict)
     changed: dict[str, None] = field(default_factory=dict)
 
-    def take(self, told: Told) -> None:
-        for name, value in told:
+    def take(self, reported: Reported) -> None:
+        for name, value in reported:
             # An autopilot tells some values more than once, the same.
             if self.values.get(name, value) != value:
                 self.changed[name] = None
@@ -62,7 +62,7 @@ class _History:
 
 
 def _of_tlog(path: Path) -> RecordedParameters:
-    """Take what the first autopilot told; else what another, as a ground station, told of it."""
+    """Take what the first autopilot reported, else what another reported of it."""
     log = read_tlog(path)
     vehicle, autopilot = _vehicle(log)
     counts = {key[:2]: log.tables.count(key) for key in log.tables if key[2] == "PARAM_VALUE"}
@@ -73,11 +73,11 @@ def _of_tlog(path: Path) -> RecordedParameters:
     notes: tuple[str, ...] = ()
     if told_by != vehicle:
         # A ground station's copy may be from before the session, so the vehicle's own word is last.
-        history.take(_told(log, told_by, autopilot))
+        history.take(_reported(log, told_by, autopilot))
         notes = (f"parameters as {told_by[0]}/{told_by[1]} tells them, not the vehicle itself",)
         history.changed.clear()
     if vehicle in counts:
-        history.take(_told(log, vehicle, autopilot))
+        history.take(_reported(log, vehicle, autopilot))
     return history.result(autopilot, notes)
 
 
@@ -92,7 +92,7 @@ def _vehicle(log: TlogFile) -> tuple[tuple[int, int], int]:
     return (0, 0), 0
 
 
-def _told(log: TlogFile, sender: tuple[int, int], autopilot: int) -> Told:
+def _reported(log: TlogFile, sender: tuple[int, int], autopilot: int) -> Reported:
     table = log.tables[(*sender, "PARAM_VALUE")]
     columns = (table[name].tolist() for name in ("param_id", "param_value", "param_type"))
     for name, value, kind in zip(*columns, strict=True):

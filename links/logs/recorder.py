@@ -42,7 +42,7 @@ class Recorder:
     overwritten. `rotate_mb` begins a new file; `limit_mb` bounds all files of such names in the
     folder, of which one takes at most half: the oldest are deleted first; 0 switches either off.
     `header` gives frames that go
-    first into every file. `on_note` is told of every file begun or deleted, and once, when
+    first into every file. `on_note` is called for every file begun or deleted, and once, when
     recording ended because the disk is full or cannot be written; frames are then counted as
     dropped, and nothing is raised. `last_stamp_us` is that of the last frame taken. Signatures
     are stripped and SETUP_SIGNING, which holds the key, is left out.
@@ -123,7 +123,7 @@ class Recorder:
 
     @property
     def has_ended(self) -> bool:
-        """Whether recording ended for good, as `on_note` was told."""
+        """Whether recording ended for good, as `on_note` reported."""
         return self._ended
 
     @property

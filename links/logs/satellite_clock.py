@@ -22,7 +22,7 @@ _SPREAD: Final = 0.1
 
 
 def clock_rate(own_ns: Integers, of_week_ms: Integers) -> float:
-    """How many seconds of the satellites pass in one of the autopilot's; 1.0 where none is told.
+    """How many seconds of the satellites pass in one of the autopilot's; 1.0 where none is known.
 
     `own_ns` [N] are the stamps of fixes by the autopilot's clock, `of_week_ms` [N] the satellites'
     time of the week. The median of the slopes between fixes half a log apart (Theil 1950, Sen 1968,
@@ -34,10 +34,10 @@ def clock_rate(own_ns: Integers, of_week_ms: Integers) -> float:
     if half < _LEAST_FIXES // 2 or own_s[-1] - own_s[0] < _LEAST_SPAN_S:
         return 1.0
     passed_s = own_s[half:] - own_s[: len(own_s) - half]
-    told = passed_s > 0.25 * _LEAST_SPAN_S
-    if not told.any():
+    known = passed_s > 0.25 * _LEAST_SPAN_S
+    if not known.any():
         return 1.0
-    slopes = (satellites_s[half:] - satellites_s[: len(own_s) - half])[told] / passed_s[told]
+    slopes = (satellites_s[half:] - satellites_s[: len(own_s) - half])[known] / passed_s[known]
     low, rate, high = np.quantile(slopes, (0.25, 0.5, 0.75))
     error = abs(rate - 1.0)
     is_one = error < _LEAST_ERROR or high - low > _SPREAD * error or not 0.5 < rate < 2.0

@@ -238,7 +238,7 @@ def recording_of(tlog: TlogFile, readings: Rows, frame_index: npt.NDArray[np.int
 
 
 def _unit(tlog: TlogFile) -> str:
-    """Return the number of the board that the first autopilot told, "" if none did."""
+    """Return the number of the board that the first autopilot reported, "" if none did."""
     for key in tlog.tables:
         if key[1:] == (_AUTOPILOT, "AUTOPILOT_VERSION"):
             row = tlog.tables[key][-1]

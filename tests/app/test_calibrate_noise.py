@@ -39,9 +39,9 @@ def bench(tmp_path_factory):
 
 def run(capsys, *words):
     code = main(["calibrate", *map(str, words)])
-    told = capsys.readouterr()
-    plain = json.loads(told.out.splitlines()[-1]) if code == 0 and "--json" in words else None
-    return code, plain, told.out + told.err
+    printed = capsys.readouterr()
+    plain = json.loads(printed.out.splitlines()[-1]) if code == 0 and "--json" in words else None
+    return code, plain, printed.out + printed.err
 
 
 def test_allan_finds_the_noise_of_the_bench_and_draws_it(bench, capsys, tmp_path):
@@ -126,7 +126,7 @@ def test_a_knock_is_left_out():
     assert steady.mean() == pytest.approx(35.0 / 40.0, abs=0.01)
 
 
-def test_too_little_steady_motion_is_told():
+def test_too_little_steady_motion_is_reported():
     with pytest.raises(CalibrationError, match=r"say which part is steady with --from and --to"):
         gate_noise(estimates(roll=0.5))
     with pytest.raises(CalibrationError, match="holds no estimates"):
@@ -144,7 +144,7 @@ def test_a_unit_in_flight_has_no_allan_deviation(capsys, tmp_path):
     assert "nowhere still: leave it alone on something solid" in said
 
 
-def test_a_picture_that_cannot_be_written_is_told(bench, capsys, tmp_path):
+def test_a_picture_that_cannot_be_written_is_reported(bench, capsys, tmp_path):
     code, _, said = run(capsys, "allan", bench, "--figure", tmp_path / "absent" / "a.png")
     assert code == 1
     assert "cannot be written" in said

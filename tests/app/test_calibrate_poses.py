@@ -37,10 +37,10 @@ def calibrate(capsys):
 
     def run(*words):
         code = main(["calibrate", *map(str, words)])
-        told = capsys.readouterr()
-        lines = [line for line in told.out.splitlines() if line.startswith(("{", "["))]
+        printed = capsys.readouterr()
+        lines = [line for line in printed.out.splitlines() if line.startswith(("{", "["))]
         plain = json.loads(lines[-1]) if "--json" in words and lines else None
-        return code, plain, told.out + told.err
+        return code, plain, printed.out + printed.err
 
     return run
 
@@ -232,7 +232,7 @@ def test_a_calibration_without_gain_is_not_written(calibrate, tmp_path):
     assert not out.exists()
 
 
-def test_what_the_autopilot_did_and_the_warm_up_are_told(calibrate, tmp_path):
+def test_what_the_autopilot_did_and_the_warm_up_are_reported(calibrate, tmp_path):
     flight = flight_of("six-position", 110.0)
     warming = change(flight, imu_degc=np.linspace(20.0, 32.0, len(flight.rows)))
     write_tlog(tmp_path / "a.tlog", warming, RATES)
@@ -285,13 +285,13 @@ def test_without_a_temperature_it_is_said(calibrate, tmp_path):
         (["multi-pose", "--link", "udpin:127.0.0.1:0", "--record", "x.txt"], "ends in .tlog"),
     ],
 )
-def test_wrong_words_are_told(words, says, recordings, capsys, tmp_path, monkeypatch):
+def test_wrong_words_are_reported(words, says, recordings, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "x.tlog").write_bytes((recordings / "six-position.tlog").read_bytes())
     try:
         code = main(["calibrate", *words])
     except SystemExit as ended:
         code = ended.code
-    told = capsys.readouterr()
+    printed = capsys.readouterr()
     assert code in (1, 2)
-    assert says in " ".join(told.err.split())
+    assert says in " ".join(printed.err.split())

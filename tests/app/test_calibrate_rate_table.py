@@ -21,9 +21,13 @@ def run(capsys, *words):
         code = main(["calibrate", "rate-table", *map(str, words)])
     except SystemExit as ended:
         code = ended.code
-    told = capsys.readouterr()
-    lines = [line for line in told.out.splitlines() if line.startswith("{")]
-    return code, json.loads(lines[-1]) if lines else None, " ".join((told.out + told.err).split())
+    printed = capsys.readouterr()
+    lines = [line for line in printed.out.splitlines() if line.startswith("{")]
+    return (
+        code,
+        json.loads(lines[-1]) if lines else None,
+        " ".join((printed.out + printed.err).split()),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +118,7 @@ def test_steps_of_known_rate_give_the_gyros(steps, capsys):
         (["--run", "x", "x.tlog", "late.csv"], 1, "give the reference on the recording's clock"),
     ],
 )
-def test_what_cannot_be_used_is_told(words, code, says, steps, capsys, tmp_path, monkeypatch):
+def test_what_cannot_be_used_is_reported(words, code, says, steps, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "x.tlog").write_bytes((steps / "x.tlog").read_bytes())
     (tmp_path / "empty.csv").write_text("")

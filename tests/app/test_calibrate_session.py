@@ -23,11 +23,10 @@ from ahrs_service.app.simulate import command as simulate
 from ahrs_service.links.logs.tlog import read_tlog
 from ahrs_service.simulation.pose_sequence import PoseSequence, Turn
 from ahrs_service.simulation.scenario import SCENARIOS, make_flight
+from tests.hang import HANG_S
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = [sys.executable, "-m", "ahrs_service.app.cli", "calibrate"]
-TIMEOUT_S = 180.0
-# Kernels compile on the first start of a fresh checkout, which takes a minute on a busy machine.
 X, Y = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
 
 
@@ -67,7 +66,7 @@ async def fly(flight, port, process, speed):
     out = simulate.Console(quiet=True)
     link = simulate.LinkFlight(autopilot, f"udpout:127.0.0.1:{port}", speed, out)
     flying = asyncio.create_task(link.fly())
-    async with asyncio.timeout(TIMEOUT_S):
+    async with asyncio.timeout(HANG_S):
         while process.poll() is None and not flying.done():
             await asyncio.sleep(0.05)
     flying.cancel()
@@ -77,10 +76,10 @@ async def fly(flight, port, process, speed):
 
 def until(read, pattern, said=b""):
     """Read what a process says until `pattern` is in it."""
-    deadline_s = time.monotonic() + TIMEOUT_S
+    deadline_s = time.monotonic() + HANG_S
     while not (found := re.search(pattern, said)):
         assert time.monotonic() < deadline_s, said.decode(errors="replace")[-2000:]
-        ready, _, _ = select.select([read], [], [], TIMEOUT_S)
+        ready, _, _ = select.select([read], [], [], HANG_S)
         data = os.read(read, 65536) if ready else b""
         assert data, said.decode(errors="replace")
         said += data
@@ -110,7 +109,7 @@ def test_a_session_refuses_bad_poses_goes_on_and_ends_as_its_recording_does(
     try:
         said, _ = until(process.stderr.fileno(), rb"listening")
         autopilot = asyncio.run(fly(long, port, process, 16.0))
-        stdout, stderr = process.communicate(timeout=TIMEOUT_S)
+        stdout, stderr = process.communicate(timeout=HANG_S)
     finally:
         process.kill()
     said = (said + stderr).decode()
@@ -158,7 +157,7 @@ def test_an_interrupted_session_loses_nothing(clumsy, tmp_path, capsys):
         # The screen shows level as taken; then somebody presses Ctrl-C.
         screen, _ = await asyncio.to_thread(until, master, rb"-z up, level[^\n]*1 pose")
         process.send_signal(signal.SIGINT)
-        await asyncio.to_thread(process.wait, TIMEOUT_S)
+        await asyncio.to_thread(process.wait, HANG_S)
         await flying
         return screen
 
@@ -174,6 +173,6 @@ def test_an_interrupted_session_loses_nothing(clumsy, tmp_path, capsys):
     assert str(tlog) in rest.decode(errors="replace").replace("\r\n", "")
     assert not any(read_tlog(tlog).damaged.values())
     assert main(["calibrate", "six-position", str(tlog)]) == 1
-    told = capsys.readouterr().err
-    assert "put the unit on each of its six faces" in told
-    assert "-z up" not in told.split("none of them with")[1].split("up:")[0]
+    printed = capsys.readouterr().err
+    assert "put the unit on each of its six faces" in printed
+    assert "-z up" not in printed.split("none of them with")[1].split("up:")[0]

@@ -49,7 +49,7 @@ def test_bias_and_scale_are_those_of_the_model():
 
 
 def test_the_scale_of_an_improved_model_follows_its_b():
-    """N = (A + B + c) / (1 - b) where a is nil: the scale is b / (1 - b)."""
+    """N = (A + B + c) / (1 - b) where a is zero: the scale is b / (1 - b)."""
     triad = TriadCalibration(b=Curve.linear((0.0, 50.0), ((0.0,) * 3, (0.01, -0.01, 0.0))))
     _, scale = response(Calibration(accel=triad), "accel", np.array([25.0]))
     np.testing.assert_allclose(scale[0], (0.005 / 0.995, -0.005 / 1.005, 0.0), atol=1e-14)
@@ -119,7 +119,7 @@ def test_a_verdict_against_it_is_said_and_the_file_still_shown(tmp_path, capsys)
 
 
 @pytest.mark.parametrize("option", ["--png", "--rrd"])
-def test_a_place_that_cannot_be_written_is_told(option, tmp_path, capsys):
+def test_a_place_that_cannot_be_written_is_reported(option, tmp_path, capsys):
     place = tmp_path / "nowhere" / "out"
     assert main(["calibrate", "show", str(SHIPPED), option, str(place)]) == 2
     error = capsys.readouterr().err

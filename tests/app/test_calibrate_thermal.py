@@ -24,7 +24,7 @@ NODES = np.linspace(-20.0, 60.0, 41)
 
 
 def drift(*sizes):
-    """A drift that bends, nil at 25 degC."""
+    """A drift that bends, zero at 25 degC."""
     shape = np.tanh((NODES - 15.0) / 15.0) - np.tanh(10.0 / 15.0)
     return Curve.linear(NODES, shape[:, None] * np.array(sizes))
 
@@ -64,12 +64,12 @@ def thermal(capsys):
 
     def run(*words):
         code = main(["calibrate", "thermal", *map(str, words)])
-        told = capsys.readouterr()
-        lines = [line for line in told.out.splitlines() if line.startswith("{")]
+        printed = capsys.readouterr()
+        lines = [line for line in printed.out.splitlines() if line.startswith("{")]
         return (
             code,
             json.loads(lines[-1]) if lines else None,
-            " ".join((told.out + told.err).split()),
+            " ".join((printed.out + printed.err).split()),
         )
 
     return run
@@ -122,7 +122,7 @@ def test_a_constant_temperature_is_refused(recordings, thermal):
     assert "the temperature is constant" in said
 
 
-def test_what_the_room_told_stays(recordings, thermal, tmp_path):
+def test_what_the_room_reported_stays(recordings, thermal, tmp_path):
     out = tmp_path / "A7.toml"
     matrix = ((1.01, 0.0, 0.002), (0.0, 0.99, 0.0), (0.0, 0.001, 1.0))
     room = Calibration(

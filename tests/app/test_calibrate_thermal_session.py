@@ -6,8 +6,9 @@ import os
 import subprocess
 
 from ahrs_service.app.cli import main
-from tests.app.test_calibrate_session import COMMAND, ROOT, TIMEOUT_S, fly, free_port, until
+from tests.app.test_calibrate_session import COMMAND, ROOT, fly, free_port, until
 from tests.app.test_calibrate_thermal import warm_up
+from tests.hang import HANG_S
 
 
 def test_a_session_ends_at_the_span_and_finds_what_its_recording_says(tmp_path, capsys):
@@ -23,7 +24,7 @@ def test_a_session_ends_at_the_span_and_finds_what_its_recording_says(tmp_path, 
     try:
         said, _ = until(process.stderr.fileno(), rb"listening")
         asyncio.run(fly(warm_up(-10.0, 50.0), port, process, 40.0))
-        stdout, stderr = process.communicate(timeout=TIMEOUT_S)
+        stdout, stderr = process.communicate(timeout=HANG_S)
     finally:
         process.kill()
     said = (said + stderr).decode()

@@ -1,4 +1,4 @@
-"""Of which unit a calibration is: told, read from recordings, and never mixed."""
+"""Of which unit a calibration is: given, read from recordings, and never mixed."""
 
 import argparse
 from dataclasses import replace
@@ -21,22 +21,22 @@ def captured(path, unit="", source="HIGHRES_IMU"):
     return Capture(NOTHING, path / "a.tlog", "0" * 64, source, 100.0, unit=unit)
 
 
-def told(out=None, serial=""):
+def given(out=None, serial=""):
     return argparse.Namespace(out=out, serial=serial)
 
 
 def test_board_and_imu_are_the_recordings(tmp_path):
     captures = [captured(tmp_path), captured(tmp_path, "ab12")]
-    found = unit_of(told(serial="A1"), captures)
+    found = unit_of(given(serial="A1"), captures)
     assert (found.serial, found.uid, found.imu) == ("A1", "ab12", 0)
-    assert unit_of(told(), [captured(tmp_path, source="SCALED_IMU3")]).imu == 2
+    assert unit_of(given(), [captured(tmp_path, source="SCALED_IMU3")]).imu == 2
 
 
 def test_what_the_file_says_is_kept(tmp_path):
     path = tmp_path / "unit.toml"
     before = Calibration(serial="A1", uid="ab12", imu=1, source="bench")
     calibration_file.save(path, before)
-    assert unit_of(told(path), [captured(tmp_path, source="SCALED_IMU2")]) == before
+    assert unit_of(given(path), [captured(tmp_path, source="SCALED_IMU2")]) == before
 
 
 @pytest.mark.parametrize(
@@ -51,7 +51,7 @@ def test_units_are_never_mixed(serial, unit, source, words, tmp_path):
     path = tmp_path / "unit.toml"
     calibration_file.save(path, Calibration(serial="A1", uid="ab12", imu=0))
     with pytest.raises(ConfigError, match=words):
-        unit_of(told(path, serial), [captured(tmp_path, unit, source)])
+        unit_of(given(path, serial), [captured(tmp_path, unit, source)])
 
 
 def test_a_real_recording_tells_its_board(shared):
@@ -59,6 +59,6 @@ def test_a_real_recording_tells_its_board(shared):
     if not path.exists():
         pytest.skip(f"{path.name} is missing in ../shared/data/flights")
     one = read_capture(path, IntakeSettings())
-    found = unit_of(told(), [replace(one, columns=NOTHING)])
+    found = unit_of(given(), [replace(one, columns=NOTHING)])
     assert found.uid == "1e0025001551383137383335"
     assert found.imu == 0

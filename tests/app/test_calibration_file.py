@@ -146,7 +146,7 @@ def test_writing_replaces_whole_and_leaves_nothing_beside(tmp_path):
     assert stat.S_IMODE(path.stat().st_mode) == 0o644
 
 
-def test_a_place_that_cannot_be_written_is_told_and_the_old_file_stays(tmp_path):
+def test_a_place_that_cannot_be_written_is_reported_and_the_old_file_stays(tmp_path):
     with pytest.raises(ConfigError, match=r"nowhere/unit\.toml: cannot be written"):
         calibration_file.save(tmp_path / "nowhere" / "unit.toml", example())
     folder = tmp_path / "unit.toml"
@@ -170,7 +170,7 @@ def test_a_place_that_cannot_be_written_is_told_and_the_old_file_stays(tmp_path)
         ("[verdict.figures]\nx = inf", r"figures\.x = inf"),
     ],
 )
-def test_what_is_wrong_is_told_with_file_and_field(text, words, tmp_path):
+def test_what_is_wrong_is_reported_with_file_and_field(text, words, tmp_path):
     path = tmp_path / "unit.toml"
     path.write_text(text)
     with pytest.raises(ConfigError, match=words) as refused:

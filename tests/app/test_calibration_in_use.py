@@ -10,7 +10,7 @@ import pytest
 
 from ahrs_service.app.cli import main
 from ahrs_service.app.files import calibration_file
-from ahrs_service.app.files.calibration_choice import CalibrationShelf
+from ahrs_service.app.files.calibration_choice import CalibrationStore
 from ahrs_service.app.live.daemon import Daemon
 from ahrs_service.app.replay.export_rrd import write_recording
 from ahrs_service.app.replay.replay_log import replay_log
@@ -255,7 +255,7 @@ def test_who_wants_no_calibration_hears_of_none(live, flight_frames, tmp_path, c
     assert not [text for text in warnings if "no calibration for unit" in text]
 
 
-def test_a_file_of_another_unit_is_used_as_told_and_warned_of(live, flight_frames, tmp_path):
+def test_a_file_of_another_unit_is_used_as_reported_and_warned_of(live, flight_frames, tmp_path):
     frames = [flight_frames[0], version(b"", 0xAB), *flight_frames[1:500]]
     sensor = SensorSettings(calibration=str(SHIPPED / "sim-1.toml"))
     served = serve(live, tmp_path, sensor, frames)
@@ -274,7 +274,7 @@ def test_a_verdict_against_it_is_a_refusal_unless_forced(tmp_path, capsys):
         Daemon(Settings(sensor=SensorSettings(calibration=str(path))), print)
     assert main(["run", "--calibration", str(path), "--seconds", "0.1"]) == 2
     assert "do not use: span 8 degC" in capsys.readouterr().err.replace("\n", " ")
-    forced = CalibrationShelf(SensorSettings(calibration=str(path), force_calibration=True))
+    forced = CalibrationStore(SensorSettings(calibration=str(path), force_calibration=True))
     assert "DO NOT USE, forced" in forced.choose("").text()
 
 
@@ -283,16 +283,16 @@ def test_a_folder_passes_over_what_cannot_be_used_and_says_why(tmp_path):
     newer = replace(good, provenance=Provenance("2024-02-01"))
     folder = folder_of(tmp_path, a=good, b=newer, bad=Calibration(serial="G", verdict=BAD))
     (folder / "broken.toml").write_text("[gyro")
-    shelf = CalibrationShelf(SensorSettings(calibration=str(folder), unit="g"))
+    shelf = CalibrationStore(SensorSettings(calibration=str(folder), unit="g"))
     assert shelf.choose("").path.name == "b.toml"
     assert [any(w in note for note in shelf.notes) for w in ("span 8", "not valid TOML")] == [1, 1]
 
 
 def test_a_folder_of_nothing_and_a_missing_file_are_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"holds no \.toml file"):
-        CalibrationShelf(SensorSettings(calibration=str(tmp_path)))
+        CalibrationStore(SensorSettings(calibration=str(tmp_path)))
     with pytest.raises(ConfigError, match="No such file"):
-        CalibrationShelf(SensorSettings(calibration=str(tmp_path / "none.toml")))
+        CalibrationStore(SensorSettings(calibration=str(tmp_path / "none.toml")))
 
 
 def test_the_shipped_example_is_the_simulators_truth():

@@ -75,9 +75,9 @@ def test_every_procedure_of_calibrate_explains_itself(procedure, capsys):
 def test_wrong_usage_ends_with_2_and_says_what(words, says, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert call(words) == 2
-    told = capsys.readouterr()
-    assert says in told.err
-    assert "Traceback" not in told.err
+    printed = capsys.readouterr()
+    assert says in printed.err
+    assert "Traceback" not in printed.err
     assert list(tmp_path.iterdir()) == []
 
 
@@ -94,9 +94,9 @@ def test_wrong_usage_ends_with_2_and_says_what(words, says, capsys, tmp_path, mo
 def test_what_fails_ends_with_1_and_one_line(words, says, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert call(words) == 1
-    told = capsys.readouterr()
-    assert says in told.err
-    assert "Traceback" not in told.err
+    printed = capsys.readouterr()
+    assert says in printed.err
+    assert "Traceback" not in printed.err
 
 
 def test_an_interrupt_ends_with_130(monkeypatch):

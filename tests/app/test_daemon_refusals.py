@@ -55,7 +55,7 @@ def test_a_disk_that_takes_no_recording_costs_the_recording_alone(
     assert any(level == "warning" and "recording ended" in text for level, text in served.said)
 
 
-def test_signing_stamps_that_cannot_be_kept_are_told(
+def test_signing_stamps_that_cannot_be_kept_are_reported(
     live: SimpleNamespace,
     flight_frames: list[bytes],
     tmp_path: Path,

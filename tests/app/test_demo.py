@@ -13,9 +13,9 @@ import pytest
 from ahrs_service.app.cli import main
 from ahrs_service.app.replay.replay_log import replay_log
 from ahrs_service.links.logs.tlog import read_tlog
+from tests.hang import HANG_S
 
 ROOT = Path(__file__).resolve().parents[2]
-TIMEOUT_S = 90.0
 
 
 def start(out: Path, seconds: float) -> "subprocess.Popen[str]":
@@ -55,7 +55,7 @@ def ended() -> Iterator[list["subprocess.Popen[str]"]]:
 def test_it_flies_reports_and_leaves_whole_files(tmp_path, ended):
     process = start(tmp_path / "out", 6.0)
     ended.append(process)
-    shown, errors = process.communicate(timeout=TIMEOUT_S)
+    shown, errors = process.communicate(timeout=HANG_S)
     assert (process.returncode, errors) == (0, "")
     (folder,) = (tmp_path / "out").iterdir()
     assert sorted(path.name for path in folder.iterdir()) == ["flight.rrd", "flight.tlog"]
@@ -87,7 +87,7 @@ def test_a_signal_ends_it_with_whole_files_and_nothing_left_behind(number, code,
         if "health: aligning" in line:
             break
     process.send_signal(number)
-    _, errors = process.communicate(timeout=TIMEOUT_S)
+    _, errors = process.communicate(timeout=HANG_S)
     assert (process.returncode, errors) == (code, "")
     assert group_is_gone(process)
     (folder,) = tmp_path.iterdir()
@@ -95,7 +95,7 @@ def test_a_signal_ends_it_with_whole_files_and_nothing_left_behind(number, code,
     assert (folder / "flight.rrd").stat().st_size > 0
 
 
-def test_what_cannot_be_flown_is_told_before_anything_is_made(tmp_path, capsys):
+def test_what_cannot_be_flown_is_reported_before_anything_is_made(tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["demo", "--out", str(out), "--scenario", "moon"]) == 2
     assert "--scenario moon: choose one of flight" in capsys.readouterr().err

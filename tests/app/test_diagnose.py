@@ -118,7 +118,7 @@ def test_what_the_real_recording_has_and_the_simulated_lacks_is_said(tmp_path, c
         (".", "is a folder; give a recording"),
     ],
 )
-def test_a_recording_that_cannot_be_read_is_told(name, words, tmp_path, capsys):
+def test_a_recording_that_cannot_be_read_is_reported(name, words, tmp_path, capsys):
     path = tmp_path / name
     if name == "notes.txt":
         path.write_text("nothing")

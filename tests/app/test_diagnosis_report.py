@@ -96,6 +96,8 @@ def test_a_finding_is_a_paragraph_that_a_pilot_understands():
     assert "It shows from 60 s to 150 s (vibration above 2 m/s^2)." in words
     assert "gains 412 nats" in words
     assert "cannot tell it from accelerometer: bias that follows the battery current" in words
+    assert "Added to the reading: k sigma_vib^2." in words
+    assert "It is often taken for accelerometer: bias that follows the temperature." in words
     assert "To be sure: run the motors without propellers." in words
     assert "cannot be compensated live: it needs the level of vibration" in words
     can = text.live_text("gyro_scale_factor")
@@ -116,7 +118,7 @@ def test_figures_carry_two_digits_of_their_sigma(value, std, unit, words):
     assert text.estimate_text(Estimated(value, std, unit)) == words
 
 
-def test_what_is_too_large_to_be_believed_is_told_with_its_size(diagnosis):
+def test_what_is_too_large_to_be_believed_is_reported_with_its_size(diagnosis):
     (item,) = diagnosis.implausible
     words = text.implausible_text(item)
     assert "accel_scale_factor) would gain 231 nats" in words

@@ -182,7 +182,7 @@ def param_value(name: str, value: float) -> bytes:
 
 
 @pytest.mark.parametrize("rotate_mb", [0.0, 0.02])
-def test_a_trim_that_is_told_in_flight(
+def test_a_trim_that_is_reported_in_flight(
     rotate_mb: float, live: SimpleNamespace, flight_frames: list[bytes], tmp_path: Path
 ) -> None:
     folder = tmp_path / "flights"
@@ -326,7 +326,7 @@ def test_a_state_that_cannot_be_used_changes_nothing(readings: Any) -> None:
     saved = estimator.save()
     at_source = saved_offset("source", pipeline=False)
     at_phase, at_states, at_place, at_turn = map(
-        saved_offset, ("phase", "states", "history_next", "turn_s")
+        saved_offset, ("phase", "states", "history_next", "update_s")
     )
     not_a_number = struct.unpack("<q", struct.pack("<d", math.nan))[0]
     bad = [

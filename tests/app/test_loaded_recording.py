@@ -77,7 +77,7 @@ def test_real_recordings_of_every_format_give_rising_columns(name, rate_hz, has)
     assert not len(current) or 0.0 <= np.median(current) < 100.0
 
 
-def test_where_no_velocity_is_told_the_receivers_positions_serve():
+def test_where_no_velocity_is_reported_the_receivers_positions_serve():
     loaded = real("x8_fixedwing_aerobatics_50hz_reencoded.tlog")
     assert not len(loaded.columns.velocity_ned_m_s)
     velocity = with_velocity(loaded).velocity_ned_m_s

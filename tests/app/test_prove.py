@@ -31,10 +31,10 @@ def test_a_set_is_sealed_diagnosed_and_scored(tmp_path, capsys):
     keep, out = tmp_path / "kept", tmp_path / "score.json"
     arguments = ["--count", "3", "--seconds", "30", "--seed", "9", "--keep", str(keep)]
     assert main(["prove", *arguments, "--json", str(out)]) == 0
-    told = capsys.readouterr().out
+    printed = capsys.readouterr().out
     document = json.loads(out.read_text())
-    assert f"sha256 {document['seal_sha256']}" in told
-    assert told.index("sealed") < told.index("score of 3 recordings")
+    assert f"sha256 {document['seal_sha256']}" in printed
+    assert printed.index("sealed") < printed.index("score of 3 recordings")
     assert {"diagnose", "F-test", "BIC", "lasso", "oracle"} == set(document["score"])
     assert len(document["marks"]["diagnose"]) == 3
     assert len(list(keep.glob("*.tlog"))) == len(list(keep.glob("*.report.json"))) == 3
@@ -83,7 +83,9 @@ def test_what_cannot_be_scored_is_refused(cases, tmp_path, capsys):
     assert "a.truth.json" in capsys.readouterr().err
 
 
-def test_a_recording_that_cannot_be_read_is_told_and_the_others_are_scored(cases, tmp_path, capsys):
+def test_a_recording_that_cannot_be_read_is_reported_and_the_others_are_scored(
+    cases, tmp_path, capsys
+):
     (cases / "bias.tlog").write_bytes(b"no frames at all")
     out = tmp_path / "score.json"
     assert main(["prove", "--cases", str(cases), "--no-rivals", "--json", str(out)]) == 1

@@ -18,10 +18,10 @@ from ahrs_service.app.cli import COMMANDS, main
 from ahrs_service.app.replay.replay_log import replay_log
 from ahrs_service.links.logs.tlog import read_tlog
 from ahrs_service.links.mavlink.codec import Decoder, Encoder, dialect
+from tests.hang import HANG_S
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = [sys.executable, "-m", "ahrs_service.app.cli"]
-TIMEOUT_S = 60.0
 
 
 class Running:
@@ -32,7 +32,7 @@ class Running:
         environment.pop("NOTIFY_SOCKET", None)
         self.notify = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.notify.bind(str(folder / "notify"))
-        self.notify.settimeout(TIMEOUT_S)
+        self.notify.settimeout(HANG_S)
         environment["NOTIFY_SOCKET"] = str(folder / "notify")
         self.process = subprocess.Popen(
             [*COMMAND, "run", "--link", link, *options],
@@ -43,7 +43,7 @@ class Running:
         )
         self.said = b""
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.settimeout(TIMEOUT_S)
+        self.socket.settimeout(HANG_S)
         self.decoder = Decoder(datagrams=True)
         self.encoder = Encoder(255, 190)
         self.heard: list[str] = []
@@ -51,7 +51,7 @@ class Running:
     def until_said(self, pattern: bytes) -> re.Match[bytes]:
         assert self.process.stdout is not None
         while not (found := re.search(pattern, self.said)):
-            ready, _, _ = select.select([self.process.stdout], [], [], TIMEOUT_S)
+            ready, _, _ = select.select([self.process.stdout], [], [], HANG_S)
             data = os.read(self.process.stdout.fileno(), 65536) if ready else b""
             assert data, (self.said, self.process.poll())
             self.said += data
@@ -80,7 +80,7 @@ class Running:
 
     def end(self, number: signal.Signals) -> tuple[str, str]:
         self.process.send_signal(number)
-        out, errors = self.process.communicate(timeout=TIMEOUT_S)
+        out, errors = self.process.communicate(timeout=HANG_S)
         return (self.said + out).decode(), errors.decode()
 
     def notified(self) -> list[bytes]:
@@ -149,7 +149,7 @@ def test_a_recording_survives_a_kill(start, flight_frames, tmp_path):
     # Twice, so that one whole second lies between: what was heard is then with the system.
     for _ in range(2):
         running.notified()
-        running.notify.settimeout(TIMEOUT_S)
+        running.notify.settimeout(HANG_S)
         while running.notify.recv(1000) != b"WATCHDOG=1":
             pass
     running.end(signal.SIGKILL)
@@ -167,14 +167,14 @@ def test_a_reader_of_the_log_that_goes_away_ends_no_flight(start, flight_frames,
     running.process.stdout.close()
     running.fly(flight_frames[:1000])
     running.process.send_signal(signal.SIGHUP)
-    assert running.process.wait(TIMEOUT_S) == 0
+    assert running.process.wait(HANG_S) == 0
     assert len(replay_log(tmp_path / "flight.tlog").estimates) > 400
 
 
-def test_it_ends_by_itself_when_told(start):
+def test_it_ends_by_itself_when_reported(start):
     running = start("--seconds", "0.05", "--quiet")
     running.until_said(b"closed")
-    assert running.process.wait(TIMEOUT_S) == 0
+    assert running.process.wait(HANG_S) == 0
 
 
 @pytest.fixture
@@ -266,7 +266,7 @@ def test_errors_are_clear(arguments, code, says, files, capsys):
         (["demo", "--seconds", "-1"], "-1 is not a number above 0"),
     ],
 )
-def test_wrong_usage_is_told(arguments, says, capsys):
+def test_wrong_usage_is_reported(arguments, says, capsys):
     with pytest.raises(SystemExit) as ended:
         main(arguments)
     assert ended.value.code == 2
@@ -310,7 +310,7 @@ def test_the_command_itself_fails_in_one_line(files):
             for arguments, _, _ in cases
         ]
         for process, (_, code, says) in zip(started, cases, strict=True):
-            _, errors = process.communicate(timeout=TIMEOUT_S)
+            _, errors = process.communicate(timeout=HANG_S)
             assert process.returncode == code, errors
             assert says in errors
             assert errors.startswith(b"error: ")

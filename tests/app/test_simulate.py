@@ -19,6 +19,7 @@ from ahrs_service.rotation import euler_columns
 from ahrs_service.simulation.imu import consumer_grade
 from ahrs_service.simulation.scenario import fly_scenario, make_flight
 from ahrs_service.simulation.script import Script
+from tests.hang import HANG_S
 
 EXAMPLE_SCRIPT = Path(__file__).parents[2] / "configs" / "flights" / "warm_up_and_turns.toml"
 
@@ -87,7 +88,7 @@ def test_it_flies_over_udp_and_counts_what_comes_back():
         out = simulate.Console(quiet=True)
         link = simulate.LinkFlight(autopilot, f"udpout:127.0.0.1:{port}", 10.0, out)
         await link.fly()
-        async with asyncio.timeout(10.0):
+        async with asyncio.timeout(HANG_S):
             while companion.names.count("HEARTBEAT") < 11:
                 await asyncio.sleep(0.01)
         transport.close()
@@ -106,7 +107,7 @@ def test_it_flies_over_udp_and_counts_what_comes_back():
 def test_a_signal_ends_it_with_its_report():
     listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     listener.bind(("127.0.0.1", 0))
-    listener.settimeout(60.0)
+    listener.settimeout(HANG_S)
     uri = f"udpout:127.0.0.1:{listener.getsockname()[1]}"
     program = subprocess.Popen(
         [sys.executable, "-m", "ahrs_service.app.cli", "simulate", "--link", uri, "--json"],
@@ -117,7 +118,7 @@ def test_a_signal_ends_it_with_its_report():
     try:
         listener.recv(300)
         program.send_signal(signal.SIGTERM)
-        output, errors = program.communicate(timeout=60.0)
+        output, errors = program.communicate(timeout=HANG_S)
     finally:
         program.kill()
         listener.close()
@@ -136,7 +137,7 @@ def test_a_signal_ends_it_with_its_report():
         (["--rate", "50"], "loop of 50 Hz cannot"),
     ],
 )
-def test_what_cannot_be_flown_is_told(options, words, tmp_path, capsys):
+def test_what_cannot_be_flown_is_reported(options, words, tmp_path, capsys):
     assert main(["simulate", "--tlog", str(tmp_path / "x.tlog"), *options]) == 2
     assert words in capsys.readouterr().err
 
@@ -168,7 +169,7 @@ def test_a_script_is_flown_phase_by_phase(tmp_path):
         ("[[phases]", "not valid TOML"),
     ],
 )
-def test_a_script_that_cannot_be_flown_is_told(text, words, tmp_path, capsys):
+def test_a_script_that_cannot_be_flown_is_reported(text, words, tmp_path, capsys):
     script = tmp_path / "mine.toml"
     script.write_text(text)
     out = tmp_path / "x.tlog"

@@ -168,7 +168,7 @@ def entry(text):
         ("[gyro_nose]\ndensity = 1.0", "gyro_nose: no such field"),
     ],
 )
-def test_a_twin_that_cannot_be_is_told(text, words, tmp_path, capsys):
+def test_a_twin_that_cannot_be_is_reported(text, words, tmp_path, capsys):
     path, out = tmp_path / "twin.toml", tmp_path / "x.tlog"
     path.write_text(text)
     assert main(["simulate", "--twin", str(path), "--tlog", str(out)]) == 2
@@ -178,7 +178,7 @@ def test_a_twin_that_cannot_be_is_told(text, words, tmp_path, capsys):
     assert not out.exists()
 
 
-def test_an_effect_without_what_it_needs_is_told(calm_tlog, tmp_path, capsys):
+def test_an_effect_without_what_it_needs_is_reported(calm_tlog, tmp_path, capsys):
     path, out = tmp_path / "twin.toml", tmp_path / "x.tlog"
     path.write_text('[[effects]]\nid="gyro_thermal_rate"\nper_degC_per_s=[nan, 0.0, 0.0]')
     assert main(["simulate", "--twin", str(path), "--tlog", str(out)]) == 2
@@ -192,7 +192,7 @@ def test_a_recording_without_reference_is_refused(tmp_path, capsys):
     assert f"{path}: no such file" in capsys.readouterr().err
 
 
-def test_a_twin_that_cannot_be_written_is_told(tmp_path):
+def test_a_twin_that_cannot_be_written_is_reported(tmp_path):
     place = tmp_path / "missing" / "twin.toml"
     with pytest.raises(Exception, match=r"cannot be written: .*; give a place that can be"):
         twin_file.write(place, Imu(), "test")

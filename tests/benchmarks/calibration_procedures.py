@@ -88,7 +88,7 @@ def from_six_positions(seed: int, noisy: bool) -> Iterator[tuple[str, Result]]:
     poses = find_poses(columns)
     accel = six_position.fit_accelerometer(poses)
     yield "six-position, accel", (accel, *truth_of(calibration.accel), ALL)
-    turns = known_rotations.find_turns(columns, poses, accel, 360.0)
+    turns = known_rotations.find_rotations(columns, poses, accel, 360.0)
     gyro = known_rotations.fit_gyro(poses, turns)
     yield "six-position, gyro by circles", (gyro, *truth_of(calibration.gyro), ALL)
 

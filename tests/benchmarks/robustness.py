@@ -164,7 +164,7 @@ def jittered(share: float) -> Edit:
 
 
 def reordered(share: float) -> Edit:
-    """Neighbours that changed places."""
+    """VehicleAdoption that changed places."""
 
     def edit(fields: Fields, rng: np.random.Generator) -> None:
         order = np.arange(len(fields["t"]))

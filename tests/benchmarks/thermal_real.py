@@ -5,10 +5,10 @@ Run: python tests/benchmarks/thermal_real.py [--data DIR]
 DIR holds the flight recordings (default: ../shared/data/flights beside the project). Three ways to
 hold out:
 
-  tenths    every second tenth of the time, foretold by the others, and the others by it
-  later     the last four tenths, foretold by the first six: mostly beyond the temperatures seen,
+  tenths    every second tenth of the time, predicted by the others, and the others by it
+  later     the last four tenths, predicted by the first six: mostly beyond the temperatures seen,
             where every model, the autopilots' too, holds its value at the end of its span
-  session   each power-on, foretold by the other ones of the unit
+  session   each power-on, predicted by the other ones of the unit
 
 "before" is the RMS about the mean of the rows seen; "ArduPilot" a cubic of T - 35 through means of
 0.5 degC of rise, as its learning takes them (AP_InertialSensor_tempcal.cpp); "PX4" a cubic through
@@ -203,7 +203,7 @@ def main() -> int:
             results.append(Result(series, split, held))
             table.add_row(*results[-1].cells())
         lag = fit_smooth(series.rows, zero).lag
-        if lag.is_told:
+        if lag.is_reported:
             remarks.append(f"{series.name} {series.triad}: a lag of {lag.lag_s:.0f} s is told")
     console.print(table)
     console.print("recordings that say nothing, and lags that were told:")

@@ -167,9 +167,9 @@ def _chamber(path: Path) -> Series:
         values = np.loadtxt(file, delimiter=",")
     count = len(values) // _CHAMBER_ROW
     means = values[: count * _CHAMBER_ROW].reshape(count, _CHAMBER_ROW, -1).mean(axis=1)
-    nil = np.zeros(count, np.int64)
+    zero = np.zeros(count, np.int64)
     time = np.arange(count) * float(_CHAMBER_ROW)
-    rows = ThermalRows(time, means[:, 4], means[:, 1:4] * MILLI_G, nil, nil)
+    rows = ThermalRows(time, means[:, 4], means[:, 1:4] * MILLI_G, zero, zero)
     return Series("iim42652", "accel", rows, "mg", MILLI_G)
 
 
@@ -217,8 +217,8 @@ def _against_attitude(name: str, path: Path) -> Iterator[Series | Silent]:
         difference = (told[0].inv() * told[1]).inv() * turned
         biases.append(difference.as_rotvec() / ((at[n + 1] - at[n]) * 1e-9))
         temperatures.append(imu["temperature_degc"][own].mean())
-    nil = np.zeros(len(biases), np.int64)
-    rows = ThermalRows(edges[:-1] * 1e-9, np.array(temperatures), np.array(biases), nil, nil)
+    zero = np.zeros(len(biases), np.int64)
+    rows = ThermalRows(edges[:-1] * 1e-9, np.array(temperatures), np.array(biases), zero, zero)
     yield Series(f"{name} by attitude", "gyro", rows, "mrad/s", MRAD_S)
 
 
@@ -237,7 +237,7 @@ def _difference(name: str, imus: list[tuple[str, list[ImuColumns]]]) -> Iterator
     size = max(1, round(1.0 / first.interval_s))
     time, temperature = (_means(x, size) for x in (first.time_s, first.temperature_degc))
     keep = np.isfinite(temperature)
-    nil = np.zeros(int(keep.sum()), np.int64)
+    zero = np.zeros(int(keep.sum()), np.int64)
     for triad, field, unit, scale in (
         ("gyro", "gyro_rad_s", "mrad/s", MRAD_S),
         ("accel", "accel_m_s2", "mg", MILLI_G),
@@ -251,7 +251,7 @@ def _difference(name: str, imus: list[tuple[str, list[ImuColumns]]]) -> Iterator
             reason = f"its IMUs are not sampled together: their {triad}s differ by {noise:.2g} SI"
             yield Silent(f"{name} IMU1-IMU2", reason)
             return
-        rows = ThermalRows(time[keep], temperature[keep], difference[keep], nil, nil)
+        rows = ThermalRows(time[keep], temperature[keep], difference[keep], zero, zero)
         yield Series(f"{name} IMU1-IMU2", triad, rows, unit, scale)
 
 

@@ -77,7 +77,7 @@ def test_saturation_cuts_the_finished_reading():
 
 
 @pytest.mark.parametrize("control", CONTROLS)
-def test_a_control_changes_what_is_told_and_not_what_is_read(control):
+def test_a_control_changes_what_is_reported_and_not_what_is_read(control):
     plain = make(Request("a", "flight", 6, 60))
     changed = make(Request("a", "flight", 6, 60, control=control))
     assert np.array_equal(plain.gyro_rad_s, changed.gyro_rad_s)

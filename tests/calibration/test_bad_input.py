@@ -58,14 +58,14 @@ def test_too_few_directions_are_counted():
     [(1000.0, "mG", "0.00980665"), (1.0, "in g", "9.80665"), (980.665, "mG", "0.00980665")],
 )
 @pytest.mark.parametrize("fit", [six_position.fit_accelerometer, multi_pose.fit_accelerometer])
-def test_another_unit_is_told(fit, one_g, unit, factor):
+def test_another_unit_is_reported(fit, one_g, unit, factor):
     up = FACES if fit is six_position.fit_accelerometer else spread(15)
     with pytest.raises(CalibrationError, match=unit) as caught:
         fit(poses_of(one_g * up))
     assert f"multiply by {factor}" in str(caught.value)
 
 
-def test_a_force_that_is_no_gravity_is_told():
+def test_a_force_that_is_no_gravity_is_reported():
     with pytest.raises(CalibrationError, match=r"4.9 m/s\^2 instead of about 9.8"):
         check_force_unit(4.9 * FACES)
     check_force_unit(G * FACES * 1.1)
@@ -96,7 +96,7 @@ def test_turns_at_the_end_of_the_range_are_left_out(bench):
     gyro = columns.gyro_rad_s.copy()
     gyro[:, 0] = np.clip(gyro[:, 0], -1.0, 1.0)
     clipped = replace(columns, gyro_rad_s=gyro)
-    turns = known_rotations.find_turns(clipped, find_poses(clipped), ideal(), 360.0)
+    turns = known_rotations.find_rotations(clipped, find_poses(clipped), ideal(), 360.0)
     assert len(turns.truth) == 4
     assert len(turns.left_out) == 2
     assert "ran into the end of its range, so it does not count: turn more" in turns.left_out[0]
@@ -139,18 +139,18 @@ def test_a_clipped_swing_is_saturated_where_it_is_clipped(seed, times):
     assert (flat & truth).sum() > 0.95 * truth.sum()
 
 
-def test_a_turn_about_another_axis_than_the_vertical_is_told(bench):
+def test_a_turn_about_another_axis_than_the_vertical_is_reported(bench):
     columns, _ = bench("six-position", 100.0)
     swapped = replace(columns, gyro_rad_s=columns.gyro_rad_s[:, [2, 1, 0]])
     poses = find_poses(swapped)
     with pytest.raises(CalibrationError, match="z was vertical by the accelerometer, but the gyro"):
-        known_rotations.find_turns(swapped, poses, ideal(), 360.0)
+        known_rotations.find_rotations(swapped, poses, ideal(), 360.0)
 
 
-def test_a_turn_that_is_no_multiple_is_told(bench):
+def test_a_turn_that_is_no_multiple_is_reported(bench):
     columns, _ = bench("six-position", 100.0)
     poses = find_poses(columns)
-    turns = known_rotations.find_turns(columns, poses, ideal(), 250.0)
+    turns = known_rotations.find_rotations(columns, poses, ideal(), 250.0)
     assert len(turns.truth) == 0
     assert len(turns.left_out) == 6
     assert "deg, which is no multiple of 250 deg, so it does not count" in turns.left_out[0]
@@ -163,7 +163,7 @@ def test_turns_about_one_axis_are_not_enough():
 
 
 @pytest.mark.parametrize("order", [[1, 0, 2], [2, 1, 0], [1, 2, 0]])
-def test_swapped_gyro_axes_are_told_without_a_table(bench, order):
+def test_swapped_gyro_axes_are_reported_without_a_table(bench, order):
     columns, _ = bench("multi-pose", 130.0)
     swapped = replace(columns, gyro_rad_s=columns.gyro_rad_s[:, order])
     poses = find_poses(swapped)
@@ -172,7 +172,7 @@ def test_swapped_gyro_axes_are_told_without_a_table(bench, order):
         pose_rotations.fit_gyro(swapped, poses, multi_pose.fit_accelerometer(poses))
 
 
-def test_a_mirrored_gyro_axis_is_told_without_a_table(bench):
+def test_a_mirrored_gyro_axis_is_reported_without_a_table(bench):
     columns, _ = bench("multi-pose", 130.0)
     mirrored = replace(columns, gyro_rad_s=columns.gyro_rad_s * [1.0, -1.0, 1.0])
     poses = find_poses(mirrored)
@@ -180,14 +180,14 @@ def test_a_mirrored_gyro_axis_is_told_without_a_table(bench):
         pose_rotations.fit_gyro(mirrored, poses, multi_pose.fit_accelerometer(poses))
 
 
-def test_a_dead_axis_is_told():
+def test_a_dead_axis_is_reported():
     force = G * spread(60)
     force[:, 2] = np.random.default_rng(2).normal(0.0, 1e-3, 60)
     with pytest.raises(CalibrationError, match=r"^(accelerometer|the fit does not settle)"):
         multi_pose.fit_accelerometer(poses_of(force))
 
 
-def test_poses_too_near_to_each_other_for_the_gyros_are_told(bench):
+def test_poses_too_near_to_each_other_for_the_gyros_are_reported(bench):
     columns, _ = bench("multi-pose", 130.0)
     poses = find_poses(columns)
     accel = multi_pose.fit_accelerometer(poses)

@@ -66,7 +66,7 @@ def test_px4_by_the_id_of_the_sensor_and_by_the_message():
     assert already_compensated({}, ImuSource.HIGHRES_IMU, 3) == []
 
 
-def test_what_cannot_be_known_is_told():
+def test_what_cannot_be_known_is_reported():
     values = ardupilot(INS_TCAL1_ENABLE=1.0)
     del values["INS_TCAL1_ACC2_Y"]
     (told,) = already_compensated(values, ImuSource.SCALED_IMU, 3)

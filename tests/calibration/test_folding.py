@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ahrs_service.calibration.folding import NOT_LIVE, fold, why_not_live
-from ahrs_service.effects.base import apply
+from ahrs_service.calibration.folding import fold
+from ahrs_service.effects.base import Effect, apply
 from ahrs_service.effects.catalogue import EFFECTS, effect_of
 from ahrs_service.effects.thermal_lag import lagged
 from ahrs_service.sensor.compensation import compensate_columns
@@ -134,13 +134,13 @@ def test_each_effect_is_either_folded_or_says_why_not(motion):
     for identifier, effect in EFFECTS.items():
         folded = fold(Calibration.ideal(), [(effect, effect.neutral())])
         assert (identifier in folded.taken) == (identifier in foldable), identifier
-        assert (why_not_live(effect) is None) == (identifier in foldable)
+        assert (effect.why_not_live is None) == (identifier in foldable)
         if identifier not in foldable:
             ((name, why),) = folded.left
             assert name == identifier
+            assert why == effect.why_not_live
             assert len(why) > 20
-    names = {effect.name for effect in EFFECTS.values()}
-    assert set(NOT_LIVE) <= names
+            assert why != Effect.not_live
 
 
 def test_effects_at_zero_leave_the_compensation_as_it_was(motion):

@@ -16,11 +16,11 @@ from ahrs_service.calibration.multi_pose import (
 from ahrs_service.calibration.pose_rotations import (
     fit_gyro,
     judge_gyro,
-    turn_residuals,
-    turns_between,
+    rotation_residuals,
+    rotations_between,
 )
 from ahrs_service.calibration.poses import directions, find_poses, rest_bias
-from ahrs_service.calibration.rotating import turn_and_leverage
+from ahrs_service.calibration.rotating import rotation_and_leverage
 from ahrs_service.calibration.verdict import judge
 from tests.calibration.conftest import poses_of
 
@@ -85,7 +85,7 @@ def test_a_turn_adds_up_to_the_rotation_of_scipy():
     t = np.arange(200) / 100.0
     rates = np.cumsum(rng.normal(0.0, 0.1, (200, 3)), axis=0)
     turn, leverage = np.empty((3, 3)), np.empty((3, 9))
-    turn_and_leverage(t, rates, np.eye(3), np.zeros(3), turn, leverage)
+    rotation_and_leverage(t, rates, np.eye(3), np.zeros(3), turn, leverage)
     expected = Rotation.identity()
     for a, b in itertools.pairwise(rates):
         expected = expected * Rotation.from_rotvec(0.5 * (a + b) / 100.0)
@@ -95,8 +95,10 @@ def test_a_turn_adds_up_to_the_rotation_of_scipy():
 def test_the_turn_jacobian_is_the_slope(bench):
     columns, _ = bench("multi-pose", 150.0, rate_hz=200.0)
     poses = find_poses(columns)
-    turns = turns_between(columns, poses)
-    evaluate = turn_residuals(columns, turns, directions(poses["accel_m_s2"]), rest_bias(poses)[0])
+    turns = rotations_between(columns, poses)
+    evaluate = rotation_residuals(
+        columns, turns, directions(poses["accel_m_s2"]), rest_bias(poses)[0]
+    )
     at = np.eye(3).ravel() + np.random.default_rng(5).normal(0.0, 0.01, 9)
     _, jacobian = evaluate(at)
     for p in range(9):
@@ -152,7 +154,7 @@ def test_the_gyros_fit_is_that_of_scipy(bench):
     accel = fit_accelerometer(poses)
     gyro = fit_gyro(columns, poses, accel)
     up = directions(accel.compensate(poses["accel_m_s2"]))
-    evaluate = turn_residuals(columns, turns_between(columns, poses), up, gyro.bias)
+    evaluate = rotation_residuals(columns, rotations_between(columns, poses), up, gyro.bias)
     theirs = least_squares(lambda p: evaluate(p)[0], np.eye(3).ravel(), xtol=1e-13, ftol=1e-13)
     assert np.linalg.inv(gyro.matrix).ravel() == pytest.approx(theirs.x, abs=1e-6)
 

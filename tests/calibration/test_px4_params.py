@@ -148,7 +148,7 @@ def test_a_line_and_a_gyro_that_temperature_leaves_alone():
     assert all(len(name) <= 16 for name in values)
 
 
-def test_without_the_sensor_s_id_what_is_to_be_done_is_told():
+def test_without_the_sensor_s_id_what_is_to_be_done_is_reported():
     export = to_px4(ramp())
     assert "TC_A0_ID" not in export.values
     assert "set it to CAL_ACC0_ID" in " ".join(export.remarks)

@@ -27,7 +27,7 @@ def run(drift, angles=((0, 1), (1, 2), (2, 0))):
 
 
 def linear_in_pieces(t, u):
-    """Drift that is linear between the borders of the 5 degC segments, and nil at 25 degC."""
+    """Drift that is linear between the borders of the 5 degC segments, and zero at 25 degC."""
     table = 0.3 * np.sin(NODES[:, None] / 15.0 + [0.0, 1.0, 2.0])
     table -= table[13]
     return np.stack([np.interp(t, NODES, column) for column in table.T], axis=1)

@@ -76,7 +76,7 @@ def test_full_circles_give_the_gyros(bench):
     columns, flight = bench("six-position", 120.0)
     poses = find_poses(columns)
     accel = fit_accelerometer(poses)
-    turns = known_rotations.find_turns(columns, poses, accel, 360.0)
+    turns = known_rotations.find_rotations(columns, poses, accel, 360.0)
     assert len(turns.truth) == 6
     assert np.linalg.norm(turns.truth, axis=1) == pytest.approx(2 * math.pi)
     assert turns.left_out == ()
@@ -104,7 +104,7 @@ def test_a_sensor_without_errors_is_not_made_worse_unnoticed(bench, perfect):
     assert "held out got worse" in verdict.words
 
 
-def test_faces_are_told_by_what_is_up():
+def test_faces_are_reported_by_what_is_up():
     faces, tilt = faces_of(9.8 * UP)
     assert [FACES[k] for k in faces] == ["+x", "+y", "+z", "-x", "-y", "-z"]
     assert tilt == pytest.approx(0.0, abs=1e-7)

@@ -1,4 +1,4 @@
-"""The smooth fit against plain least squares, exact data, and the scatter that it foretells."""
+"""The smooth fit against plain least squares, exact data, and the scatter that it predicts."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ BIAS = np.array([0.3, -0.2, 0.1])
 
 
 def drift_of(t):
-    """Bias [N, 3] and scale [N, 3, 3] of an exact quadratic and linear drift, nil at ZERO."""
+    """Bias [N, 3] and scale [N, 3, 3] of an exact quadratic and linear drift, zero at ZERO."""
     s = (t - ZERO) / 40.0
     bias = s[:, None] * [0.2, -0.1, 0.3] + (s**2)[:, None] * [0.05, 0.1, -0.05]
     table = np.array([[4e-3, 1e-3, 0.0], [0.0, -6e-3, 1e-3], [-1e-3, 0.0, 5e-3]])
@@ -83,13 +83,13 @@ def still_rows(seed, keep=0.0, drift=0.4):
     time = np.arange(0.0, 6000.0, 10.0)
     t = np.interp(time, [0.0, 3000.0, 6000.0], [0.0, 40.0, 0.0])
     noise = first_order(rng.normal(0.0, 0.02, (len(time), 3)), keep)
-    nil = np.zeros(len(time), int)
+    zero = np.zeros(len(time), int)
     curve = drift * np.tanh((t - 15.0) / 12.0)
-    return ThermalRows(time, t, curve[:, None] + noise, nil, nil)
+    return ThermalRows(time, t, curve[:, None] + noise, zero, zero)
 
 
 @pytest.mark.parametrize("keep", [0.0, 0.8])
-def test_the_errors_told_are_the_scatter_of_the_fits(keep):
+def test_the_errors_reported_are_the_scatter_of_the_fits(keep):
     """Of 60 runs with noise white or coloured; without the colour the errors are 3 times small."""
     at = np.array([0.0, 40.0])
     structures = (Structure(bias=(3, 3)),) * 3

@@ -49,15 +49,15 @@ def bench_rows(lag_s, heating_and_cooling=True, noise=2e-3, seed=1):
     t = (element[:, None] - 20.0) / 40.0
     rng = np.random.default_rng(seed)
     output = t * [0.5, -0.3, 0.2] + t**3 * [0.1, 0.3, -0.2]
-    nil = np.zeros(len(time), int)
-    return ThermalRows(time, shown, output + rng.normal(0.0, noise, (len(time), 3)), nil, nil)
+    zero = np.zeros(len(time), int)
+    return ThermalRows(time, shown, output + rng.normal(0.0, noise, (len(time), 3)), zero, zero)
 
 
 @pytest.mark.parametrize("lag_s", [LAG_S, -LAG_S, 5.0])
 def test_the_lag_is_found_either_way(lag_s):
     rows = bench_rows(lag_s)
     found = estimate_lag(rows, CUBIC, 20.0, level_outputs(rows))
-    assert found.is_told
+    assert found.is_reported
     assert found.low_s < lag_s < found.high_s or found.lag_s == pytest.approx(lag_s, abs=1.0)
     assert found.lag_s == pytest.approx(lag_s, abs=1.5)
 
@@ -65,7 +65,7 @@ def test_the_lag_is_found_either_way(lag_s):
 def test_no_lag_is_none():
     rows = bench_rows(0.0)
     found = estimate_lag(rows, CUBIC, 20.0, level_outputs(rows))
-    assert not found.is_told
+    assert not found.is_reported
     assert found.lag_s == 0.0
     assert found.high_s - found.low_s < 2.0
 
@@ -84,4 +84,4 @@ def test_a_drift_that_is_not_there_tells_no_lag():
     rows = bench_rows(LAG_S)
     found = estimate_lag(rows, (Structure(),) * 3, 20.0, level_outputs(rows))
     assert (found.low_s, found.high_s) == (-LARGEST_LAG_S, LARGEST_LAG_S)
-    assert not found.is_told
+    assert not found.is_reported

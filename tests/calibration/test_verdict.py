@@ -61,7 +61,7 @@ def test_what_would_do_harm_is_refused(changes, words):
     ("changes", "words"),
     [
         ({"held_out_after": None}, "no gain is shown"),
-        ({"condition": 100.0}, "hardly told apart"),
+        ({"condition": 100.0}, "hardly separable"),
         ({"coverage": 0.1}, "cover 10% of all directions"),
     ],
 )

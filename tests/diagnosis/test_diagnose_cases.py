@@ -23,7 +23,7 @@ def case(name):
     return read_columns(path), truth["effects"]
 
 
-def test_a_bench_and_a_flight_are_told_apart():
+def test_a_bench_and_a_flight_are_separated():
     assert isinstance(compare(case("accel_lever_arm_bench")[0]), BenchResidual)
     assert isinstance(compare(case("null_flight")[0]), FlightResidual)
 

@@ -115,7 +115,7 @@ def test_gaps_of_either_begin_anew():
     np.testing.assert_allclose(gathered.misfit[~gathered.is_broken], 0.0, atol=2e-5)
 
 
-def test_a_velocity_told_seldom_is_compared_at_its_own_instants():
+def test_a_velocity_reported_seldom_is_compared_at_its_own_instants():
     at_s = np.arange(0.5, 39.5, 0.1)
     velocity_s = np.arange(0.63, 39.0, 1.0)
     recorded = recorded_at(at_s, velocity_s=velocity_s)

@@ -1,4 +1,4 @@
-"""Every effect of the catalogue: nil at its neutral parameters, and as its equation says."""
+"""Every effect of the catalogue: zero at its neutral parameters, and as its equation says."""
 
 import math
 from dataclasses import replace
@@ -8,11 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ahrs_service.effects.base import Columns, apply, remove
-from ahrs_service.effects.catalogue import EFFECTS, effect_of
+from ahrs_service.effects.base import Columns, apply
+from ahrs_service.effects.catalogue import EFFECTS, effect_of, often_taken_for
+from ahrs_service.effects.undo import added_to, ideal_motion
 from ahrs_service.rotation import quaternion_columns
 
-INVERTIBLE = [effect for effect in EFFECTS.values() if effect.has_inverse]
+LOST = ("time_offset", "clock_drift", "low_pass", "saturation")
+"""What comes back only as far as the motion is smooth, or not at all."""
+
+INVERTIBLE = [effect for effect in EFFECTS.values() if effect.name not in LOST]
 
 
 def columns_of(seed=1, count=200, step_s=0.02):
@@ -61,9 +65,66 @@ def test_what_an_effect_adds_is_taken_away_again(effect, seed):
             values[p.name] = np.asarray(rng.choice(p.grid))
     gyro, accel = apply(columns, [(effect, values)])
     measured = replace(columns, rate_rad_s=gyro, force_m_s2=accel)
-    rate, force = remove(measured, [(effect, values)])
+    gyro_added, accel_added = added_to(measured, [(effect, values)], 12)
+    rate, force = gyro - gyro_added, accel - accel_added
     np.testing.assert_allclose(rate, columns.rate_rad_s, atol=1e-9)
     np.testing.assert_allclose(force, columns.force_m_s2, atol=1e-9)
+
+
+def test_late_and_filtered_readings_give_back_the_motion():
+    """A wave of 0.5 Hz, 13 ms late behind a filter of 10 Hz: within the spline's and its edges."""
+    columns = smooth_columns(50.0)
+    offset, filtered = effect_of("imu_time_offset"), effect_of("gyro_low_pass")
+    late = [(offset, {"offset_s": np.asarray(0.013)})]
+    slow = [(filtered, {"cutoff_hz": np.asarray(10.0), "order": np.asarray(1.0)})]
+    gyro, accel = apply(columns, slow)
+    gyro, accel = apply(replace(columns, rate_rad_s=gyro, force_m_s2=accel), late)
+    reading = replace(columns, rate_rad_s=gyro, force_m_s2=accel)
+    assert np.abs(gyro - columns.rate_rad_s)[50:-50].max() > 0.05
+    found = ideal_motion(reading, late + slow, 12)
+    middle = slice(50, -50)
+    np.testing.assert_allclose(found.rate_rad_s[middle], columns.rate_rad_s[middle], atol=2e-4)
+    np.testing.assert_allclose(found.force_m_s2[middle], columns.force_m_s2[middle], atol=2e-4)
+    np.testing.assert_array_equal(found.time_s, columns.time_s)
+
+
+def test_a_lever_arm_feels_the_turning_that_is_left_when_a_scale_error_is_taken_out():
+    """d(1.1 w)/dt is read where the arm felt dw/dt: 0.1 m of 2 rad/s^2 about z are 0.2 m/s^2."""
+    base = columns_of()
+    spin = np.outer(base.time_s - base.time_s[0], [0.0, 0.0, 2.0])
+    still = np.zeros_like(spin)
+    ideal = replace(
+        base,
+        rate_rad_s=spin,
+        force_m_s2=still,
+        angular_acceleration_rad_s2=np.tile([0.0, 0.0, 2.0], (len(spin), 1)),
+    )
+    scale, arm = effect_of("gyro_scale_factor"), effect_of("accel_lever_arm")
+    effects = [
+        (scale, {"scale_error": np.array([0.0, 0.0, 0.1])}),
+        (arm, {"arm_m": np.array([0.1, 0.0, 0.0])}),
+    ]
+    gyro, accel = apply(ideal, effects)
+    np.testing.assert_allclose(accel[:, 1], 0.2, atol=1e-12)
+    read = replace(
+        ideal,
+        rate_rad_s=gyro,
+        force_m_s2=accel,
+        angular_acceleration_rad_s2=np.tile([0.0, 0.0, 2.2], (len(spin), 1)),
+    )
+    _, felt = added_to(read, effects, 14)
+    np.testing.assert_allclose(felt, accel, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_what_an_effect_is_often_taken_for_acts_on_the_same_sensor(name):
+    effect = effect_of(name)
+    others = [effect_of(one) for one in often_taken_for(effect)]
+    assert others
+    assert effect not in others
+    for one in effect.taken_for:
+        assert one in EFFECTS or f"{effect.triad}_{one}" in EFFECTS, one
+    assert all("imu" in (effect.triad, one.triad) or one.triad == effect.triad for one in others)
 
 
 @pytest.mark.parametrize("name", EFFECTS)

@@ -19,13 +19,13 @@ def flight():
     return make_flight("flight", 90.0, seed=3, rate_hz=RATE_HZ)
 
 
-def heard(flight, lag_s=0.0, airframe=Airframe.FIXED_WING, turned_rad=0.0, magnetometer=False):
+def heard(flight, lag_s=0.0, airframe=Airframe.FIXED_WING, rotated_rad=0.0, magnetometer=False):
     """Samples [N] with a receiver's velocity 5 times a second, so late and in axes so turned."""
     samples = samples_of(flight, airframe, magnetometer=magnetometer).copy()
     now = np.arange(0, len(samples), EVERY)
     then = np.maximum(now - round(lag_s * RATE_HZ), 0)
     north, east = flight.rows["velocity_ned_m_s"][then, :2].T
-    c, s = np.cos(turned_rad), np.sin(turned_rad)
+    c, s = np.cos(rotated_rad), np.sin(rotated_rad)
     samples["velocity_ned_m_s"][now, 0] = c * north - s * east
     samples["velocity_ned_m_s"][now, 1] = s * north + c * east
     return samples
@@ -86,7 +86,7 @@ def test_a_velocity_with_every_sample_counts_no_more_than_that_of_a_receiver(fli
         assert (sigma_often > 0.7 * sigma).all()
 
 
-def test_the_wind_is_told_from_the_airspeed(flight):
+def test_the_wind_is_reported_from_the_airspeed(flight):
     samples = heard(flight)
     samples["airspeed_m_s"][::EVERY] = flight.rows["airspeed_m_s"][::EVERY]
     _, state = run(samples)
@@ -125,7 +125,7 @@ def test_noise_alone_tells_no_heading(flight, seed):
 def test_a_velocity_in_other_axes_than_the_compass_is_let_go(flight):
     """The tilt is hardly worse than without, and the service goes on."""
     truth = flight.rows["ned_from_body"]
-    wrong = heard(flight, turned_rad=2.0, magnetometer=True)
+    wrong = heard(flight, rotated_rad=2.0, magnetometer=True)
     estimates, state = run(wrong)
     alone, _ = run(samples_of(flight, Airframe.FIXED_WING))
     assert state["states"] == states.UNAIDED

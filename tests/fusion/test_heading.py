@@ -152,7 +152,7 @@ def test_lag_of_the_magnetometer_is_learnt(late_s, every, lag_s, error_deg):
     assert np.abs(heading_error(estimates, attitude)[at(10.0) :]).max() < np.radians(error_deg)
 
 
-def test_lag_is_told_from_a_magnet_that_turns_with_the_sensor():
+def test_lag_is_reported_from_a_magnet_that_turns_with_the_sensor():
     samples, _ = spin(90.0)
     samples["mag_ut"][at(0.03) :] = samples["mag_ut"][: -at(0.03)].copy()
     samples["mag_ut"] += (5.0, -8.0, 10.0)

@@ -109,7 +109,7 @@ def test_turning_about_down_turns_state_and_covariance_alike():
     state["covariance"][:] = covariance(rng, states.AIDED)
     state["velocity_ned_m_s"] = (3.0, 4.0, 5.0)
     before = state["covariance"].copy()
-    mekf.turn_about_down(state, math.pi / 2)
+    mekf.rotate_about_down(state, math.pi / 2)
     np.testing.assert_allclose(state["velocity_ned_m_s"], [-4.0, 3.0, 5.0], atol=1e-12)
     expected = np.zeros((3, 3))
     matrix(state["ned_from_body"], expected)

@@ -54,7 +54,7 @@ class Problem:
         np.fill_diagonal(f, 1.0)
         if self.wind_at and turn == self.wind_at:
             f[VELOCITY, WIND] = f[VELOCITY + 1, WIND + 1] = 1.0
-        mekf.turn_rows(f, self.n, *way, np.empty((3, ERROR_STATES)))
+        mekf.transition_rows(f, self.n, *way, np.empty((3, ERROR_STATES)))
         return f[: self.n, : self.n]
 
     def dense(self):
@@ -151,7 +151,7 @@ def test_the_wind_that_is_found_later_parts_from_the_velocity_before():
     np.testing.assert_allclose(rows["attitude_sigma_rad"] ** 2, variances[:, :3], rtol=1e-6)
 
 
-def turned_about_down(angle):
+def rotated_about_down(angle):
     """Matrix [3, 3] of the turn and the one [n, n] of all error states."""
     c, s = np.cos(angle), np.sin(angle)
     turn, whole = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.eye(ERROR_STATES)
@@ -172,7 +172,7 @@ def test_what_was_in_other_axes_before_a_heading_was_found_is_turned_to_north(k)
     angle = 2.0
     nodes, rows = Problem(AIDED, 6, 6).tape()
     other, other_rows = nodes.copy(), rows.copy()
-    turn, whole = turned_about_down(-angle)
+    turn, whole = rotated_about_down(-angle)
     for n in range(1, k + 3):
         node = other[n]
         node["rotation_s"] = turn @ node["rotation_s"]
@@ -185,7 +185,7 @@ def test_what_was_in_other_axes_before_a_heading_was_found_is_turned_to_north(k)
         q = other_rows["ned_from_body"][n - 1]
         back = (np.cos(-0.5 * angle), 0.0, 0.0, np.sin(-0.5 * angle))
         other_rows["ned_from_body"][n - 1] = multiply_columns(back, q)
-    other[k + 2]["turned_rad"] = angle
+    other[k + 2]["rotated_rad"] = angle
     for n in range(2, k + 3):
         _predict(other[n], other[n - 1], nodes[n], nodes[n - 1])
     smoother.smooth(nodes, len(nodes), rows)
@@ -216,10 +216,10 @@ def test_corrections_and_a_turn_about_down_after_them_add_up():
     state["states"] = AIDED
     correction = state["correction"][:] = np.linspace(0.01, 0.24, ERROR_STATES)
     mekf.apply_correction(state)
-    mekf.turn_about_down(state, 0.7)
-    _, whole = turned_about_down(0.7)
+    mekf.rotate_about_down(state, 0.7)
+    _, whole = rotated_about_down(0.7)
     np.testing.assert_allclose(state["applied"], whole @ correction, atol=1e-15)
-    assert state["turned_rad"] == 0.7
+    assert state["rotated_rad"] == 0.7
 
 
 def test_states_without_variance_take_no_part():

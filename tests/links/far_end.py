@@ -12,6 +12,7 @@ from typing import Any
 
 from ahrs_service.links.transport.link import Link, LinkState, Peer
 from ahrs_service.links.transport.registry import open_link
+from tests.hang import HANG_S
 
 
 def frame(number: int) -> bytes:
@@ -29,7 +30,6 @@ def has_ipv6() -> bool:
 
 KINDS = ["udpin", "udpout", "tcp", "tcpin", "serial"] + ["udpin6", "tcpin6"] * has_ipv6()
 STREAMS = ["tcp", "tcpin", "serial"]
-TIMEOUT_S = 30.0
 
 
 class Heard:
@@ -199,7 +199,7 @@ async def joined(kind: str, folder: Path) -> AsyncIterator[tuple[Link, Far, Hear
 
 def run(scenario: Coroutine[Any, Any, None]) -> None:
     async def limited() -> None:
-        async with asyncio.timeout(TIMEOUT_S):
+        async with asyncio.timeout(HANG_S):
             await scenario
 
     asyncio.run(limited())

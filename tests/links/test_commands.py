@@ -76,7 +76,7 @@ def result_of(answers, number):
         (NAMED, "named_value_rate_hz"),
     ],
 )
-def test_the_rate_of_our_messages_is_set_told_and_reset(component, command, number, key):
+def test_the_rate_of_our_messages_is_set_reported_and_reset(component, command, number, key):
     for interval_us, rate_hz, told_us in (
         (40_000.0, 25.0, 40_000),
         (-1.0, 0.0, -1),

@@ -89,7 +89,7 @@ def test_our_own_system_number_may_be_set(arrived):
     assert component.on_message(arrived(ping, 4, 1), 0.0) == []
 
 
-def test_a_second_vehicle_is_ignored_counted_and_told_once(adopted, arrived):
+def test_a_second_vehicle_is_ignored_counted_and_reported_once(adopted, arrived):
     component = adopted()
     component.drain_events()
     for _ in range(50):
@@ -114,7 +114,7 @@ def test_a_flood_of_systems_takes_no_memory(adopted, arrived):
     assert component.vehicle == (1, 1)
 
 
-def test_another_component_of_our_number_is_told_once(adopted, arrived):
+def test_another_component_of_our_number_is_reported_once(adopted, arrived):
     component = adopted()
     component.drain_events()
     for _ in range(5):

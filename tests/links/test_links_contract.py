@@ -15,7 +15,7 @@ def test_receipt_clock_is_wall_time_with_two_low_bits_clear() -> None:
     stamps = [receipt_clock() for _ in range(2000)]
     assert stamps == sorted(stamps)
     assert not any(stamp & 3 for stamp in stamps)
-    assert abs(stamps[0] / 1e6 - time.time()) < 5
+    assert abs(stamps[0] / 1e6 - time.time()) < 60
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -116,7 +116,7 @@ def test_a_wrong_line_is_named_with_its_number(tmp_path, text, words):
     assert words in str(error.value)
 
 
-def test_what_is_no_text_or_not_there_is_told(tmp_path):
+def test_what_is_no_text_or_not_there_is_reported(tmp_path):
     path = tmp_path / "bad.param"
     path.write_bytes(bytes(range(128, 256)))
     with pytest.raises(ParamFileError, match="is not text"):

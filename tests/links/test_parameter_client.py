@@ -26,6 +26,7 @@ from ahrs_service.links.simulated.autopilot_parameters import (
     ardupilot_ins,
     px4_calibration,
 )
+from tests.hang import HANG_S
 
 INT8 = int(dialect.MAV_PARAM_TYPE_INT8)
 
@@ -58,7 +59,7 @@ async def conversation(live, folder, kind="udpin", autopilot=ARDUPILOT, limits=N
 
 def run(scenario):
     async def limited():
-        async with asyncio.timeout(20.0):
+        async with asyncio.timeout(HANG_S):
             await scenario()
 
     asyncio.run(limited())
@@ -153,7 +154,7 @@ def test_a_value_that_is_clamped_comes_back_as_it_is(live, tmp_path):
     run(scenario)
 
 
-def test_a_refusal_by_message_is_told_by_its_name(live, tmp_path):
+def test_a_refusal_by_message_is_reported_by_its_name(live, tmp_path):
     async def scenario():
         async with conversation(live, tmp_path) as (client, far):
             error = dialect.MAVLink_param_error_message(
@@ -168,11 +169,11 @@ def test_a_refusal_by_message_is_told_by_its_name(live, tmp_path):
     run(scenario)
 
 
-def test_nobody_there_and_a_vehicle_that_falls_silent_are_told(live, tmp_path, monkeypatch):
+def test_nobody_there_and_a_vehicle_that_falls_silent_are_reported(live, tmp_path, monkeypatch):
     async def scenario():
         async with conversation(live, tmp_path) as (client, far):
             far.is_dead = True
-            with pytest.raises(ParamError, match="fell silent before it told INS_ACCOFFS_X"):
+            with pytest.raises(ParamError, match="fell silent before it sent INS_ACCOFFS_X"):
                 await client.read(["INS_ACCOFFS_X"])
             with pytest.raises(ParamError, match=r"INS_ACCOFFS_X = 1\.0: no answer"):
                 await client.write("INS_ACCOFFS_X", ParamValue(1.0))

@@ -182,7 +182,7 @@ def test_a_refused_value_leaves_the_old_one_and_says_so(component, ask, value):
     assert text.startswith("PARAM_SET refused: AHRS_GATE_NORM = ")
 
 
-def test_an_unknown_name_is_told_and_not_answered(component, ask):
+def test_an_unknown_name_is_reported_and_not_answered(component, ask):
     assert flat(ask(set_message(b"AHRS_NO\0rest", 1.0))) == []
     ((level, text),) = component.drain_events()
     assert (level, text[:46]) == ("warning", "PARAM_SET refused: no parameter 'AHRS_NO'; kno")
@@ -217,7 +217,7 @@ def texts_of(component, start_s, seconds):
         (b"AHRS_NO", 1.0, "no parameter 'AHRS_NO'; known are AHRS_GATE_NORM, "),
     ],
 )
-def test_a_refusal_is_told_to_the_ground(component, arrived, name, value, told):
+def test_a_refusal_is_reported_to_the_ground(component, arrived, name, value, told):
     component.on_message(arrived(set_message(name, value), 255, 190), 1.0)
     (text,) = texts_of(component, 1.0, 20.0).values()
     assert text.startswith(f"AHRS: PARAM_SET refused: {told}")

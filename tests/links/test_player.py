@@ -20,6 +20,7 @@ from ahrs_service.links.logs.tlog import read_tlog, tlog_record
 from ahrs_service.links.mavlink.codec import Encoder, dialect
 from ahrs_service.links.transport.link import LinkState
 from ahrs_service.links.transport.registry import open_link
+from tests.hang import HANG_S
 
 FIRST_US = 1_700_000_000_000_000
 ROOT = Path(__file__).resolve().parents[2]
@@ -86,7 +87,7 @@ def test_a_recording_arrives_whole_and_in_order_over_tcp(tmp_path: Path) -> None
         return bytes(heard)
 
     async def limited() -> bytes:
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(HANG_S):
             return await scenario()
 
     assert asyncio.run(limited()) == wanted
@@ -138,7 +139,7 @@ def test_the_command_plays_over_udp(tmp_path: Path) -> None:
     wanted = recorded(path, [FIRST_US + 50_000 * i for i in range(8)])
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.bind(("127.0.0.1", 0))
-        sock.settimeout(60)
+        sock.settimeout(HANG_S)
         uri = f"udpout:127.0.0.1:{sock.getsockname()[1]}"
         command = [sys.executable, "-m", "ahrs_service.app.cli", "play", str(path)]
         player = subprocess.Popen(

@@ -34,7 +34,7 @@ def beat(autopilot, system=1, component=1):
 
 
 @pytest.mark.parametrize("autopilot", [ARDUPILOT, PX4])
-def test_a_tlog_gives_what_the_autopilot_told(tmp_path, autopilot):
+def test_a_tlog_gives_what_the_autopilot_reported(tmp_path, autopilot):
     values = px4_calibration() if autopilot == PX4 else ardupilot_ins()
     path = write_tlog(tmp_path / "a.tlog", [beat(autopilot), *told(autopilot, values)])
     recorded = read_recorded_parameters(path)
@@ -44,7 +44,7 @@ def test_a_tlog_gives_what_the_autopilot_told(tmp_path, autopilot):
     assert recorded.values == listed
 
 
-def test_a_value_told_anew_is_the_last_and_is_named(tmp_path):
+def test_a_value_reported_anew_is_the_last_and_is_named(tmp_path):
     first = ardupilot_ins()
     second = first | {"INS_ACCOFFS_X": first["INS_ACCSCAL_X"]}
     frames = [beat(ARDUPILOT), *told(ARDUPILOT, first), *told(ARDUPILOT, second)]

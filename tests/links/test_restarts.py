@@ -31,7 +31,7 @@ def test_time_since_boot_that_wraps_is_no_restart(adopted, arrived):
     assert len(system_time(component, arrived, 500)) == 1
 
 
-def test_a_restart_is_told_with_the_jump_of_its_clock(converse):
+def test_a_restart_is_reported_with_the_jump_of_its_clock(converse):
     flight = converse()
     flight.run(60.0)
     flight.withhold = {"SYSTEM_TIME"}

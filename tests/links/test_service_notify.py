@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from ahrs_service.links.transport.service_notify import ServiceNotifier
+from tests.hang import HANG_S
 
 
 @pytest.fixture(params=["path", "abstract"])
@@ -21,7 +22,7 @@ def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[so
             sock.bind(address)
         except OSError:
             pytest.skip("this system has no abstract unix sockets")
-        sock.settimeout(10)
+        sock.settimeout(HANG_S)
         yield sock, name
 
 
@@ -48,7 +49,7 @@ def test_a_manager_that_restarts_is_found_again(tmp_path: Path) -> None:
     notifier.watchdog()
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
         sock.bind(name)
-        sock.settimeout(10)
+        sock.settimeout(HANG_S)
         notifier.watchdog()
         assert sock.recv(100) == b"WATCHDOG=1"
     notifier.watchdog()

@@ -30,7 +30,7 @@ def test_a_tlog_without_imu_says_what_it_has(tmp_path: Path) -> None:
         recording_from_tlog(path)
 
 
-def test_raw_counts_in_raw_imu_are_told(tmp_path: Path) -> None:
+def test_raw_counts_in_raw_imu_are_reported(tmp_path: Path) -> None:
     counts = scaled("raw_imu", xacc=30, yacc=-60, zacc=-16384)
     assert "raw counts" in recording_from_tlog(write(tmp_path / "a.tlog", counts)).notes[0]
     assert recording_from_tlog(write(tmp_path / "b.tlog", scaled("raw_imu"))).notes == ()
@@ -84,7 +84,7 @@ def test_a_doubtful_course_in_an_own_recording_replays_as_the_session_was(tmp_pa
     assert "used as it was" in note
 
 
-def test_the_trim_of_the_samples_is_told(tmp_path: Path) -> None:
+def test_the_trim_of_the_samples_is_reported(tmp_path: Path) -> None:
     entries = [heartbeat(), parameter(b"AHRS_TRIM_X", 0.01), parameter(b"AHRS_TRIM_Y", 0.0)]
     entries += [parameter(b"AHRS_TRIM_Y", -0.02), highres()]
     (note,) = recording_from_tlog(write(tmp_path / "a.tlog", *entries)).notes

@@ -80,7 +80,7 @@ def test_temperature_comes_from_the_accelerometer_where_the_gyros_is_nan(shared)
     assert recording.notes[0].endswith("sensor_accel[0].temperature")
 
 
-def test_barometer_temperature_is_never_taken_and_drop_outs_are_told(shared):
+def test_barometer_temperature_is_never_taken_and_drop_outs_are_reported(shared):
     recording = read_ulog(shared / "flights" / "px4_auavx2_quad_250hz.ulg")
     assert np.isnan(recording.readings["temperature_degc"]).all()
     assert recording.damaged == {"drop-outs": 4}
@@ -144,7 +144,7 @@ def test_groundtruth_is_marked_as_truth(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["vehicle_gps_position", "sensor_gps"])
-def test_velocities_of_a_receiver_with_a_fix_and_of_the_filter_are_told_apart(name, tmp_path):
+def test_velocities_of_a_receiver_with_a_fix_and_of_the_filter_are_separated(name, tmp_path):
     def velocity(number: int, time_us: int, north: float, *fix: int) -> bytes:
         values = (number, time_us, north, 2.0, 3.0, *fix)
         return message("D", struct.pack("<HQ3f" + "B" * len(fix), *values))
@@ -181,7 +181,7 @@ def test_a_cut_file_gives_what_is_before_the_cut(tmp_path, shared):
     assert 9_000 < len(samples) < 11_500
 
 
-def test_damage_in_the_middle_is_survived_and_told(tmp_path, shared, capsys):
+def test_damage_in_the_middle_is_survived_and_reported(tmp_path, shared, capsys):
     data = bytearray((shared / "flights" / "px4_fmuv6c_quad_222hz.ulg").read_bytes())
     middle = len(data) // 2
     data[middle : middle + 2000] = np.random.default_rng(7).bytes(2000)

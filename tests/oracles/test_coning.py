@@ -69,14 +69,14 @@ CONES = [(5.0, 0.1), (2.0, 0.2), (1.0, 0.3)]
 
 @pytest.mark.parametrize(("frequency_hz", "angle_rad"), CONES)
 @pytest.mark.parametrize(
-    ("gyro_sample", "samples_a_turn", "limit_deg"),
+    ("gyro_sample", "samples_a_cycle", "limit_deg"),
     [("instant", 10, 0.2), ("instant", 40, 3e-3), ("mean", 10, 0.08), ("mean", 40, 5e-4)],
 )
 def test_coning_drifts_little(
-    swing, frequency_hz, angle_rad, gyro_sample, samples_a_turn, limit_deg
+    swing, frequency_hz, angle_rad, gyro_sample, samples_a_cycle, limit_deg
 ):
     motion = cone(swing, frequency_hz, angle_rad)
-    rate_hz = samples_a_turn * frequency_hz
+    rate_hz = samples_a_cycle * frequency_hz
     # The drift goes with the solid angle of the cone and the turns made.
     size = (angle_rad / 0.1) ** 2 * frequency_hz / 5.0
     assert error_deg(motion, rate_hz, gyro_sample) < limit_deg * size

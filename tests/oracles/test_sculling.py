@@ -71,14 +71,14 @@ def test_the_oracle_agrees_with_its_own_derivative(swing):
 
 
 @pytest.mark.parametrize(
-    ("sample", "samples_a_turn", "limit_m_s"),
+    ("sample", "samples_a_cycle", "limit_m_s"),
     [("instant", 10, 0.04), ("instant", 40, 2e-3), ("mean", 10, 0.04), ("mean", 40, 2e-4)],
 )
 @pytest.mark.parametrize("frequency_hz", [1.0, 2.0, 5.0])
-def test_sculling_adds_little_velocity(swing, frequency_hz, sample, samples_a_turn, limit_m_s):
+def test_sculling_adds_little_velocity(swing, frequency_hz, sample, samples_a_cycle, limit_m_s):
     """Not seen at all, it is half of angle times acceleration: 0.5 m/s^2 for nine seconds."""
     motion = scull(swing, frequency_hz, 0.2, 5.0)
-    error = velocity_error_m_s(motion, regular(samples_a_turn * frequency_hz), sample)
+    error = velocity_error_m_s(motion, regular(samples_a_cycle * frequency_hz), sample)
     assert error < limit_m_s
 
 

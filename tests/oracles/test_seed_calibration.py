@@ -63,5 +63,5 @@ def test_what_the_room_alone_knows_is_far_worse(bench):
 
 def test_the_lag_is_found(bench):
     for fit in (bench.gyro_fit, bench.accel_fit):
-        assert fit.lag.is_told
+        assert fit.lag.is_reported
         assert fit.lag.lag_s == pytest.approx(bench.true_lag_s, abs=1.5)

@@ -41,7 +41,7 @@ def test_the_noise_is_that_of_the_sensors_data_sheets(shared, name, capsys):
     assert noise["gate_budget"]["rate_sigma_rad_s"] < 1e-3
 
 
-def test_what_the_autopilot_took_off_before_is_told(shared, capsys):
+def test_what_the_autopilot_took_off_before_is_reported(shared, capsys):
     """A bench with its parameters inside: the offsets that ArduPilot had applied are named."""
     path = recording(shared, "bench_cuav_2021-12-08_static_warmup_2hz.tlog")
     from pathlib import Path

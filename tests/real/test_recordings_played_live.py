@@ -19,6 +19,7 @@ from ahrs_service.links.logs.player import play
 from ahrs_service.links.logs.tlog import TlogFile, read_tlog
 from ahrs_service.links.mavlink.codec import Encoder, dialect
 from ahrs_service.records import Gate, Phase
+from tests.hang import HANG_S
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = [sys.executable, "-m", "ahrs_service.app.cli", "run"]
@@ -91,7 +92,7 @@ class Service:
 async def fly_all(services: list[Service], log: TlogFile) -> None:
     """All links at once: what is measured is by the data's clock, so sharing costs nothing."""
     try:
-        async with asyncio.timeout(120.0):
+        async with asyncio.timeout(HANG_S):
             await asyncio.gather(*(service.start() for service in services))
             await asyncio.gather(*(service.fly(log) for service in services))
     finally:

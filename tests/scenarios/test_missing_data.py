@@ -134,7 +134,7 @@ def test_imu_at_2_hz_is_flagged_and_warned_of(base):
     assert all("IMU below 20 Hz" in text and "no IMU" not in text for text in said)
 
 
-def test_a_frozen_temperature_is_told_after_half_a_minute(flight, unedited):
+def test_a_frozen_temperature_is_reported_after_half_a_minute(flight, unedited):
     def freeze(message):
         message.temperature = 2900
 
@@ -146,7 +146,7 @@ def test_a_frozen_temperature_is_told_after_half_a_minute(flight, unedited):
     assert outcome.health()[-1][1] == "degraded; IMU temperature stale or frozen"
 
 
-def test_a_temperature_that_stops_coming_is_told_after_ten_seconds(flight, unedited):
+def test_a_temperature_that_stops_coming_is_reported_after_ten_seconds(flight, unedited):
     original, outcome = unedited(flight), flight.drop(TEMPERATURE, 20.0, 40.0).replay()
     stale_s = outcome.when(Flag.TEMPERATURE_STALE)
     assert stale_s[0] == pytest.approx(30.0, abs=0.1)

@@ -44,7 +44,7 @@ def test_the_worst_axis_counts_and_its_growth_is_that_of_its_structure_function(
         ({"bias_residual": (0.0,) * 3, "bias_turn_on": (0.0,) * 3}, (True, True)),
     ],
 )
-def test_what_is_not_told_or_is_worse_or_impossible_changes_nothing(fields, keeps):
+def test_what_is_not_reported_or_is_worse_or_impossible_changes_nothing(fields, keeps):
     row = pipeline.parameters(Settings())
     default = tuple(float(row[name][0]) for name in NAMES)
     assert tuple(a == b for a, b in zip(prior(**fields), default, strict=True)) == keeps

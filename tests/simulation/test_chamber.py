@@ -110,5 +110,5 @@ def test_seeds_draw_units_and_benches_of_their_own():
     (one, bench), (again, _), (other, _) = draw(1), draw(1), draw(2)
     assert one.truth == again.truth
     assert one.truth != other.truth
-    assert np.abs(bench.mounting_turns).max() <= MOUNTING_RAD
+    assert np.abs(bench.mounting_rotations).max() <= MOUNTING_RAD
     assert replace(one, lag_s=0.0) == replace(again, lag_s=0.0)

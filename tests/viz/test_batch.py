@@ -182,7 +182,7 @@ def test_a_folder_that_is_not_there_is_named(tmp_path, flight):
         batch.write_rrd(tmp_path / "nowhere" / "flight.rrd", flight)
 
 
-def test_trust_is_told_for_each_second(tmp_path, flight, read):
+def test_trust_is_reported_for_each_second(tmp_path, flight, read):
     flight["gate"] = Gate.OPEN
     flight["gate"][400:600] = Gate.NORM
     flight["gate"][600:750] = Gate.RATE

@@ -97,7 +97,7 @@ def test_the_row_is_copied(tmp_path, flight, read):
     np.testing.assert_array_equal(shown, flight["residual_m_s2"][:1])
 
 
-def test_everything_else_it_is_told(tmp_path, flight, read):
+def test_everything_else_it_is_reported(tmp_path, flight, read):
     viewer = LiveViewer(0, tmp_path / "live.rrd")
     feed(viewer, flight)
     viewer.temperature("board", int(flight["time_ns"][10]), 41.5)

@@ -22,7 +22,7 @@ _CALIBRATING: Final = ("INS_ACC", "INS_GYR", "INS_TCAL", "CAL_ACC", "CAL_GYRO", 
 
 
 def parameters_of(path: Path, say: Callable[[str], None]) -> dict[str, float]:
-    """Return the parameters in a .param file or a recording; `say` is told what is odd of them."""
+    """Return the parameters in a .param file or a recording; `say` receives oddities."""
     if path.suffix.lower() not in (".tlog", ".bin", ".ulg"):
         return parameter_change.values_of(read_param_file(path))
     recorded = read_recorded_parameters(path)

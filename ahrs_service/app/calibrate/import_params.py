@@ -50,7 +50,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--imu", type=int, default=1, metavar="N", help="counted from 1")
     parser.add_argument("--serial", default="", help="serial number of the unit")
     parser.add_argument(
-        "--orientation", type=int, metavar="N", help="how the board is turned (default: as told)"
+        "--orientation",
+        type=int,
+        metavar="N",
+        help="the board's rotation (default: as recorded)",
     )
     add_identity_options(parser)
 
@@ -95,7 +98,7 @@ def _calibration(
 
 
 async def _over_link(args: argparse.Namespace, out: Console) -> tuple[dict[str, float], str, str]:
-    """Return the parameters, what told them, and the number of its board."""
+    """Return the parameters, where they come from, and the number of its board."""
     async with ParameterClient(
         args.link, speaker(out), signer_of(args.config), args.system
     ) as client:

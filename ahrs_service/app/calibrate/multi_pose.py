@@ -66,11 +66,11 @@ def calibrate(captures: list[capture.Capture], arguments: argparse.Namespace) ->
     accel = fit_accelerometer(found, gravity)
     fits, triads = {"accel": accel}, [judge_accelerometer(found, accel, gravity)]
     remarks = list(poses.remarks(captures, found))
-    slow = [one for one in captures if not one.rate_hz >= poses.LEAST_TURN_HZ]
+    slow = [one for one in captures if not one.rate_hz >= poses.LEAST_ROTATION_HZ]
     if slow and not arguments.no_gyro:
         text = (
             f"the gyros are not calibrated: {slow[0].rate_hz:.0f} Hz are too few to follow a turn "
-            f"({poses.LEAST_TURN_HZ:.0f} Hz are needed)"
+            f"({poses.LEAST_ROTATION_HZ:.0f} Hz are needed)"
         )
         remarks.append(Finding(Level.WARNING, text))
     elif not arguments.no_gyro:

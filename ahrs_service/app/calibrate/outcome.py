@@ -108,7 +108,7 @@ def updated(
 def unit_of(arguments: argparse.Namespace, captures: list[Capture]) -> Calibration:
     """Return what the file `--out` says so far, else an ideal calibration, of the captures' unit.
 
-    Serial, board and IMU are as told, as the file says, as the recordings tell. ConfigError where
+    Serial, board and IMU are as given, as the file says, as the recordings say. ConfigError where
     they are of different units, for the figures of one harm another.
     """
     path: Path | None = arguments.out
@@ -136,7 +136,7 @@ def unit_of(arguments: argparse.Namespace, captures: list[Capture]) -> Calibrati
 def _triad(
     path: Path, before: Calibration, triad: TriadCalibration, fit: TriadFit, degc: float
 ) -> TriadCalibration:
-    """Return the triad with the matrix and bias found; its curves stay where they are nil."""
+    """Return the triad with the matrix and bias found; its curves stay where they are zero."""
     if triad.span_degc is not None and not abs(degc - before.room_degc) <= _ROOM_K:
         raise ConfigError(
             f"{path}: holds a thermal calibration about {before.room_degc:g} degC, and this was "

@@ -2,7 +2,7 @@
 
 The old values are on the disk before the first is changed; the switches that turn a compensation
 on stay off while its figures change, so that a link that dies in the middle leaves none of it half
-in force; what was told back is compared, and after the last all are read once more.
+in force; what is read back is compared, and after the last all are read once more.
 """
 
 import asyncio
@@ -30,7 +30,7 @@ class Change:
     name: str
     old: ParamValue
     new: ParamValue
-    told: ParamValue | None = None
+    read_back: ParamValue | None = None
     is_touched: bool = False
 
     @property
@@ -116,19 +116,19 @@ async def _write_all(client: ParameterClient, changes: list[Change]) -> None:
 
 async def _write(client: ParameterClient, change: Change, value: ParamValue) -> None:
     change.is_touched = True
-    told = await client.write(change.name, value)
-    if told != value:
-        change.told = told
+    read_back = await client.write(change.name, value)
+    if read_back != value:
+        change.read_back = read_back
         raise ParamError(
-            f"{change.name} = {value.text} was not taken: the autopilot has {told.text}"
+            f"{change.name} = {value.text} was not taken: the autopilot has {read_back.text}"
         )
 
 
 async def _read_all_back(client: ParameterClient, changes: list[Change]) -> None:
-    told = await client.read(change.name for change in changes)
+    read_back = await client.read(change.name for change in changes)
     for change in changes:
-        change.told = told.get(change.name)
-    wrong = [change.name for change in changes if change.told != change.new]
+        change.read_back = read_back.get(change.name)
+    wrong = [change.name for change in changes if change.read_back != change.new]
     if wrong:
         raise ParamError(f"{_listed(wrong)} read back otherwise than written")
 
@@ -160,9 +160,9 @@ def change_table(changes: list[Change], title: str) -> Table:
     for column in ("parameter", "old", "new", "read back"):
         table.add_column(column, justify="left" if column == "parameter" else "right")
     for change in needed:
-        told = "-" if change.told is None else change.told.text
-        style = "bold red" if change.told not in (None, change.new) else None
-        table.add_row(change.name, change.old.text, change.new.text, told, style=style)
+        read_back = "-" if change.read_back is None else change.read_back.text
+        style = "bold red" if change.read_back not in (None, change.new) else None
+        table.add_row(change.name, change.old.text, change.new.text, read_back, style=style)
     return table
 
 

@@ -13,7 +13,7 @@ from ahrs_service.records import Rows
 
 LEAST_HZ: Final = 1.0
 """Slower samples have no window of eight in any pose that a person would hold."""
-LEAST_TURN_HZ: Final = 20.0
+LEAST_ROTATION_HZ: Final = 20.0
 """Slower gyros lose the course of a turn by hand, which lasts about a second."""
 
 _WARM_K: Final = 3.0
@@ -55,8 +55,8 @@ def _on_range(captures: list[Capture]) -> tuple[Finding, ...]:
 
 def on_autopilot(captures: list[Capture]) -> tuple[Finding, ...]:
     """Say what the autopilot had done to the samples before it recorded them."""
-    told = dict.fromkeys(text for capture in captures for text in capture.compensated)
-    return tuple(Finding(Level.WARNING, text) for text in told)
+    known = dict.fromkeys(text for capture in captures for text in capture.compensated)
+    return tuple(Finding(Level.WARNING, text) for text in known)
 
 
 def _on_temperature(poses: Rows) -> Finding:

@@ -74,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
             )
         axes.append(_axis(parts[0]))
         captures.append(capture.read_capture(Path(parts[1]), settings))
-        capture.check_rate(captures[-1], poses.LEAST_TURN_HZ, "following the table")
+        capture.check_rate(captures[-1], poses.LEAST_ROTATION_HZ, "following the table")
         check_saturation(captures[-1].columns)
         encoders += parts[2:]
     if arguments.rates:
@@ -84,8 +84,8 @@ def run(arguments: argparse.Namespace) -> int:
         for axis, one, path in zip(axes, captures, encoders, strict=True)
     )
     fit, lags_s = fit_encoder(mountings)
-    told = ", ".join(f"{1e3 * lag_s:+.1f} ms" for lag_s in lags_s)
-    remark = Finding(Level.NOTE, f"the recordings are late against the encoder by {told}")
+    listed = ", ".join(f"{1e3 * lag_s:+.1f} ms" for lag_s in lags_s)
+    remark = Finding(Level.NOTE, f"the recordings are late against the encoder by {listed}")
     remarks = (*poses.on_autopilot(captures), remark)
     verdict = judge("rate-table", (judge_encoder(mountings, fit, lags_s),), remarks)
     return outcome.finish(verdict, {"gyro": fit}, captures, arguments, _degc(captures))

@@ -1,8 +1,8 @@
 """A guided session: the service on a link, a table in the terminal, and all of it in a .tlog.
 
-The link, the requests for messages and the recording are the daemon's own. What the person is told
-comes from the samples so far alone (calibration.guide), and the calibration comes from the .tlog
-once it is whole, so that nothing is lost and the same command finds the same again.
+The link, the requests for messages and the recording are the daemon's own. What the person is asked
+to do comes from the samples so far alone (calibration.guide), and the calibration comes from the
+.tlog once it is whole, so that nothing is lost and the same command finds the same again.
 """
 
 import argparse

@@ -84,7 +84,7 @@ def view_of(path: Path, calibration: Calibration) -> CalibrationView:
         panels.append(Curves(f"{label} bias", unit, bias * factor, sigma, triad.span_degc))
         sigma = _sigma(known.scale_sigma, temperature, 100.0)
         panels.append(Curves(f"{label} scale", "%", scale * 100.0, sigma, triad.span_degc))
-    date = calibration.provenance.date[:10] or "date not told"
+    date = calibration.provenance.date[:10] or "date not known"
     title = f"Calibration of {calibration.serial or path.name}, {date}"
     return CalibrationView(
         title, temperature, tuple(panels), calibration.verdict.usable, verdict_text(calibration)
@@ -151,11 +151,11 @@ def tables(path: Path, calibration: Calibration) -> list[Table]:
     said = escape(verdict_text(calibration, "\n"))
     rows = {
         "verdict": f"[{colour}]{said}[/]",
-        "serial": escape(calibration.serial or "not told"),
-        "board": escape(calibration.uid or "not told"),
+        "serial": escape(calibration.serial or "not known"),
+        "board": escape(calibration.uid or "not known"),
         "IMU": "any" if calibration.imu is None else str(calibration.imu),
-        "date": escape(origin.date or "not told"),
-        "procedures": escape(", ".join(origin.procedures) or "not told"),
+        "date": escape(origin.date or "not known"),
+        "procedures": escape(", ".join(origin.procedures) or "not known"),
         "recordings": "\n".join(
             escape(f"{one.name} ({one.use or 'all'}) sha256 {one.sha256[:12]}...")
             for one in origin.recordings
@@ -190,7 +190,7 @@ def _triad_table(calibration: Calibration, name: str, triad: TriadCalibration) -
             " ".join(f"{value:+.5f}" for value in triad.matrix[i]),
             f"{bias[:, i].min() * factor:+.4f} to {bias[:, i].max() * factor:+.4f}",
             f"{scale[:, i].min() * 100.0:+.3f} to {scale[:, i].max() * 100.0:+.3f}",
-            "not told" if left is None else f"{left[i] * factor:.4f}",
+            "not known" if left is None else f"{left[i] * factor:.4f}",
         )
     errors = list(triad.uncertainty.standard_errors().items())
     shown = ", ".join(f"{key} {value:.2g}" for key, value in errors[:_SHOWN_ERRORS])

@@ -56,13 +56,13 @@ def calibrate(captures: list[capture.Capture], arguments: argparse.Namespace) ->
     fits, triads = {"accel": accel}, [judge_accelerometer(found, accel, gravity)]
     remarks = list(poses.remarks(captures, found))
     if not arguments.no_turns:
-        turns = known_rotations.find_turns(columns, found, accel, arguments.turn)
+        turns = known_rotations.find_rotations(columns, found, accel, arguments.turn)
         if turns.left_out:
             more = f" (one of {len(turns.left_out)} such turns)" if turns.left_out[1:] else ""
             remarks.append(Finding(Level.WARNING, f"{turns.left_out[0]}{more}"))
         if len(turns.truth):
             for one in captures:
-                capture.check_rate(one, poses.LEAST_TURN_HZ, "summing up a turn")
+                capture.check_rate(one, poses.LEAST_ROTATION_HZ, "summing up a turn")
             fits["gyro"] = known_rotations.fit_gyro(found, turns)
             triads.append(known_rotations.judge_gyro(found, turns, fits["gyro"]))
         else:

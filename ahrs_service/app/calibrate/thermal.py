@@ -160,7 +160,7 @@ def _plain(
             "curves": [structure.text for structure in triad.fit.structures],
             "thermal_lag_s": lag.lag_s,
             "thermal_lag_interval_s": [lag.low_s, lag.high_s],
-            "lag_is_told": lag.is_told,
+            "lag_is_told": lag.is_reported,
         }
     return {
         "procedure": PROCEDURE,

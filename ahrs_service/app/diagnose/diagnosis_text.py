@@ -6,7 +6,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from ahrs_service.calibration.folding import why_not_live
 from ahrs_service.diagnosis.result import (
     Diagnosis,
     Estimated,
@@ -17,7 +16,7 @@ from ahrs_service.diagnosis.result import (
     Vector,
     Where,
 )
-from ahrs_service.effects.catalogue import effect_of
+from ahrs_service.effects.catalogue import effect_of, often_taken_for
 
 VERDICTS: Final = {
     "no_mismatch": "No mismatch: the recording agrees with the twin within its noise.",
@@ -44,11 +43,15 @@ def paragraph(finding: Finding, has_numbers: bool = True) -> str:
         parts.append(f"It shows {where_text(finding.where)}.")
     if has_numbers:
         parts.append(f"Fitted: {parameters_text(finding)}.")
+    parts.append(f"Added to the reading: {effect_of(finding.effect).equation}.")
     parts.append(_held_out_text(finding))
     others = [one for one in finding.alike if one != finding.effect]
     if others and "cannot tell" not in finding.explanation:
         names = " or ".join(title(one) for one in others)
         parts.append(f"This recording cannot tell it from {names}.")
+    mistaken = [one for one in often_taken_for(effect_of(finding.effect)) if one not in others]
+    if mistaken:
+        parts.append(f"It is often taken for {' or '.join(title(one) for one in mistaken)}.")
     if finding.separating_manoeuvre:
         parts.append(f"To be sure: {finding.separating_manoeuvre}.")
     parts.append(_sentence(live_text(finding.effect)))
@@ -71,7 +74,7 @@ def _held_out_text(finding: Finding) -> str:
 
 def live_text(effect: str) -> str:
     """Say whether the estimator can compensate an effect live, and why not."""
-    why = why_not_live(effect_of(effect))
+    why = effect_of(effect).why_not_live
     if why is None:
         return "The estimator can compensate it live, by a calibration file"
     return (

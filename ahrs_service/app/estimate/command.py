@@ -31,7 +31,7 @@ from ahrs_service.app import options
 from ahrs_service.app.estimate.arrays import attitude_of
 from ahrs_service.app.estimate.sample_columns import read_columns
 from ahrs_service.app.files import config_file
-from ahrs_service.app.files.calibration_choice import CalibrationShelf
+from ahrs_service.app.files.calibration_choice import CalibrationStore
 from ahrs_service.errors import ConfigError, RecordingError
 from ahrs_service.settings import Settings
 
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     settings = options.settings_of(args)
     if args.out.exists() and args.source.exists() and args.out.samefile(args.source):
         raise RecordingError(f"{args.out}: is the input itself; give --out another file")
-    shelf = CalibrationShelf(options.sensor_of(args, settings.sensor))
+    shelf = CalibrationStore(options.sensor_of(args, settings.sensor))
     choice, console = shelf.choose(""), Console(stderr=True)
     if choice is None and shelf.is_folder:
         raise ConfigError(shelf.refusal(""))

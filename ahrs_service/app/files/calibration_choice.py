@@ -1,4 +1,4 @@
-"""Which calibration is used: a file as told, or from a folder the one of this unit."""
+"""Which calibration is used: a file as given, or the one of this unit from a folder."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +23,7 @@ class Choice:
     def text(self) -> str:
         """Say which one is used, and for which temperatures it holds."""
         known = self.calibration
-        parts = [f"serial {known.serial or 'not told'}"]
+        parts = [f"serial {known.serial or 'not known'}"]
         if known.provenance.date:
             parts.append(f"of {known.provenance.date[:10]}")
         for name, triad in (("gyro", known.gyro), ("accel", known.accel)):
@@ -34,7 +34,7 @@ class Choice:
         return f"calibration {self.path}: {', '.join(parts)}{doubt}"
 
 
-class CalibrationShelf:
+class CalibrationStore:
     """The calibrations that the settings offer.
 
     To make one raises ConfigError for a path that cannot be read, and, where the settings name a
@@ -99,12 +99,12 @@ class CalibrationShelf:
     def refusal(self, unit: str) -> str:
         """Say why a folder has no calibration for `unit`, and what to do."""
         name = self._settings.unit or unit
-        told = f"unit {name}" if name else "a unit that does not tell its number"
+        wanted = f"unit {name}" if name else "a unit whose number is not known"
         serials = ", ".join(
             sorted(choice.calibration.serial or choice.path.name for choice in self._choices)
         )
         return (
-            f"{self._path}: no calibration for {told} (it has those of {serials or 'nobody'}); "
+            f"{self._path}: no calibration for {wanted} (it has those of {serials or 'nobody'}); "
             "name the unit by sensor.unit, or the file by --calibration"
         )
 

@@ -1,6 +1,6 @@
 """Calibrations as TOML files, one per unit: read with pydantic, written whole or not at all.
 
-A round trip is exact, for numbers are written with all their digits. What a file leaves out is nil.
+A round trip is exact: numbers are written with all their digits. What a file leaves out is zero.
 """
 
 import dataclasses
@@ -43,7 +43,7 @@ def to_json(calibration: Calibration) -> bytes:
 
 
 def to_toml(calibration: Calibration) -> str:
-    """Return the text of a calibration's file; what is nil is left out."""
+    """Return the text of a calibration's file; what is zero is left out."""
     return toml_file.text_of(_changed(calibration))
 
 

@@ -67,9 +67,9 @@ def _check_fit(path: Path, content: dict[str, Any], recorded: Recorded) -> None:
         "imu_rate_hz": (1.0 / float(np.median(np.diff(time_s))), _RATE_SHARE),
     }
     for name, (value, share) in here.items():
-        told = content.get(name)
-        if isinstance(told, int | float) and abs(value - told) > share * told:
+        stated = content.get(name)
+        if isinstance(stated, int | float) and abs(value - stated) > share * stated:
             raise RecordingError(
-                f"{path}: {name} {told}, but {recorded.name} has {value:.4g}; "
+                f"{path}: {name} {stated}, but {recorded.name} has {value:.4g}; "
                 "give the truth of this recording"
             )

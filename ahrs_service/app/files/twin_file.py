@@ -79,10 +79,10 @@ def _effect(table: dict[str, Any], origin: str) -> tuple[Effect, Values]:
         value, (low, high) = values[parameter.name], parameter.bounds
         good = np.isfinite(value) & (value >= low) & (value <= high)
         if not (good | np.isclose(value, parameter.neutral, rtol=0.0, equal_nan=True)).all():
-            told = f"{low:g} to {high:g} " if np.isfinite(low) else "finite numbers in "
+            allowed = f"{low:g} to {high:g} " if np.isfinite(low) else "finite numbers in "
             raise ConfigError(
                 f"{origin}: {identifier}.{parameter.name} = {value.tolist()}: "
-                f"give {told}{parameter.unit}"
+                f"give {allowed}{parameter.unit}"
             )
     _check_units(effect, table, origin)
     return effect, values

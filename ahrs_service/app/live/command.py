@@ -1,7 +1,7 @@
 """Serve attitude on a MAVLink link.
 
 Reads the autopilot's IMU, estimates attitude, sends ATTITUDE back as component 191, and, where
-told so, records a .tlog and hosts a Rerun stream.
+asked to, records a .tlog and hosts a Rerun stream.
 
 Examples:
   ahrs-service run --link udpin:127.0.0.1:14550
@@ -102,7 +102,7 @@ async def serve(settings: Settings, console: Console, table: bool, seconds: floa
     daemon = Daemon(settings, TerminalLog(console))
     loop = asyncio.get_running_loop()
     numbers = [signal.SIGINT, signal.SIGTERM]
-    # A lost terminal ends the session cleanly, unless nohup told to go on without one.
+    # A lost terminal ends the session cleanly, unless nohup asked to go on without one.
     if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
         numbers.append(signal.SIGHUP)
     for number in numbers:

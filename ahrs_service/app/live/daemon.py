@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ahrs_service.app.files import calibration_file, config_file
-from ahrs_service.app.files.calibration_choice import CalibrationShelf
+from ahrs_service.app.files.calibration_choice import CalibrationStore
 from ahrs_service.app.live.observer import Observer
 from ahrs_service.app.live.statistics import Session
 from ahrs_service.estimator import Estimator, compile_kernels
@@ -69,7 +69,7 @@ class Daemon:
         self.settings = settings
         self.session = Session()
         self.health = HealthMonitor()
-        self._shelf = CalibrationShelf(settings.sensor)
+        self._shelf = CalibrationStore(settings.sensor)
         self.calibration = self._shelf.choose("")
         known = None if self.calibration is None else self.calibration.calibration
         self.estimator = Estimator(settings, known)
@@ -246,7 +246,7 @@ class Daemon:
             self._say("info", "calibration: waiting for the autopilot to tell its unit")
 
     def _take_unit(self) -> None:
-        """Put the calibration of the unit that the autopilot told into force."""
+        """Put the calibration of the unit that the autopilot reported into force."""
         if self.calibration is None and not self._shelf.is_folder:
             return
         warning, choice = self._shelf.mismatch(self._unit), self._shelf.choose(self._unit)
@@ -352,7 +352,7 @@ def _signing_file() -> Path:
     home = os.environ.get("STATE_DIRECTORY") or os.environ.get("XDG_STATE_HOME")
     folder = Path(home) if home else Path.home() / ".local" / "state"
     path = folder / "ahrs-service" / "signing.json"
-    # Where this fails, so does writing the file, which is told when the service starts.
+    # Where this fails, so does writing the file, which is reported when the service starts.
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
     return path

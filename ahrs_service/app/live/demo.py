@@ -31,7 +31,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ahrs_service.app import options
-from ahrs_service.app.files.calibration_choice import CalibrationShelf
+from ahrs_service.app.files.calibration_choice import CalibrationStore
 from ahrs_service.app.live.command import DEFAULT_VIEWER_PORT, showing
 from ahrs_service.app.live.daemon import Daemon
 from ahrs_service.app.live.terminal import TerminalLog, session_table
@@ -77,8 +77,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError(f"--scenario {arguments.scenario}: choose one of {', '.join(SCENARIOS)}")
     settings = options.settings_of(arguments)
     sensor = options.sensor_of(arguments, settings.sensor)
-    # What is wrong with it is told before a folder is made.
-    CalibrationShelf(sensor)
+    # What is wrong with it is reported before a folder is made.
+    CalibrationStore(sensor)
     files = _files(arguments.out)
     settings = _with_places(dataclasses.replace(settings, sensor=sensor), files)
     console.print("[dim]starting; on the first start the kernels are compiled, a minute or so[/]")

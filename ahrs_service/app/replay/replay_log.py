@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.app.files import calibration_file, config_file
-from ahrs_service.app.files.calibration_choice import NONE, CalibrationShelf
+from ahrs_service.app.files.calibration_choice import NONE, CalibrationStore
 from ahrs_service.app.replay.summary import Summary, summarise
 from ahrs_service.errors import ConfigError, StateError
 from ahrs_service.estimator import Estimator
@@ -108,7 +108,7 @@ def _calibration(recording: Recording, sensor: SensorSettings) -> tuple[Calibrat
     """Return the calibration that is asked for, and what it is; None where none is."""
     if sensor.calibration == NONE:
         return Calibration.ideal(), "none, as asked"
-    shelf = CalibrationShelf(sensor)
+    shelf = CalibrationStore(sensor)
     choice = shelf.choose(recording.unit)
     if choice is None:
         if shelf.is_folder:
@@ -192,7 +192,7 @@ class _Replay:
                 "give --calibration FILE, or none"
             ) from None
         self.estimator.calibrate(calibration)
-        self.calibration = f"that of the recording, serial {calibration.serial or 'not told'}"
+        self.calibration = f"that of the recording, serial {calibration.serial or 'not known'}"
 
 
 def _marks(recording: Recording) -> list[tuple[int, Mark]]:

@@ -151,7 +151,7 @@ def fit(
 
     Least squares over all inputs and temperatures: per axis raw = value / scale + bias(T), the
     cubic taken in Legendre's polynomials over the span; scale 1 for gyros. Every temperature of
-    the span weighs alike, but those outside `works_at` [degC], where it is told, a hundredth.
+    the span weighs alike, but those outside `works_at` [degC], where it is given, a hundredth.
     """
     t = made.temperature_degc
     is_outside = False if works_at is None else (t < works_at[0]) | (t > works_at[1])

@@ -1,4 +1,4 @@
-"""What a thermal fit is worth: every second tenth of the time, foretold by the other tenths."""
+"""What a thermal fit is worth: every second tenth of the time, predicted by the other tenths."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

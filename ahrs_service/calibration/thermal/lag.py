@@ -22,14 +22,14 @@ _GRID: Final = np.linspace(-1.0, 1.0, 17) ** 3 * LARGEST_LAG_S
 class Lag:
     """Lag of the elements behind the thermometer [s], and its 95 % interval [s].
 
-    `is_told` is false where the interval reaches an end of the search or holds 0; the lag is then
-    taken as 0, for a lag that is not known does more harm than good.
+    `is_reported` is false where the interval reaches an end of the search or holds 0; the lag is
+    then taken as 0, for a lag that is not known does more harm than good.
     """
 
     lag_s: float = 0.0
     low_s: float = -LARGEST_LAG_S
     high_s: float = LARGEST_LAG_S
-    is_told: bool = False
+    is_reported: bool = False
 
     @property
     def sigma_s(self) -> float:
@@ -103,5 +103,5 @@ def estimate_lag(
     low, high = (
         float(brentq(above, best, end, xtol=0.1)) if above(end) > 0.0 else end for end in ends
     )
-    is_told = low > ends[0] and high < ends[1] and not low <= 0.0 <= high
-    return Lag(best if is_told else 0.0, low, high, is_told)
+    is_reported = low > ends[0] and high < ends[1] and not low <= 0.0 <= high
+    return Lag(best if is_reported else 0.0, low, high, is_reported)

@@ -30,7 +30,7 @@ _RECENT: Final = 5
 def still_rows(columns: ImuColumns, session: int = 0) -> tuple[ThermalRows, ThermalRows]:
     """Return the rows of gyros and accelerometers of one session: its still windows.
 
-    The gyro's input is nil in all of them; the accelerometer's is numbered by pose. The sensor may
+    The gyro's input is zero in all of them; the accelerometer's is numbered by pose. The sensor may
     drift by far more than poses differ, so a pose ends with motion, never with drift.
     CalibrationError where the unit was hardly ever still.
     """

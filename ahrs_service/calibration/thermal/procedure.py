@@ -135,7 +135,7 @@ def _still(
 
 
 def _zero(room: Calibration, span_degc: tuple[float, float]) -> float:
-    """Return where the drift is nil: the room's temperature, or the nearest that was seen."""
+    """Return where the drift is zero: the room's temperature, or the nearest that was seen."""
     return float(np.clip(room.room_degc, *span_degc))
 
 
@@ -162,7 +162,7 @@ def _calibrated(result: TriadResult, room: TriadCalibration, bias: Floats) -> Tr
     found = smooth_calibration(fit.axes, np.array(room.matrix), bias, fit.lag.lag_s)
     nodes = np.linspace(*fit.rows.span_degc, _SIGMA_NODES + 1)
     after = np.sqrt(np.mean(result.held_out.after**2, axis=0))
-    lag = (("thermal_lag_s",), ((fit.lag.sigma_s**2,),)) if fit.lag.is_told else ((), ())
+    lag = (("thermal_lag_s",), ((fit.lag.sigma_s**2,),)) if fit.lag.is_reported else ((), ())
     return replace(
         found,
         g_sensitivity=room.g_sensitivity,
@@ -186,7 +186,7 @@ def _judge(name: Triad, result: TriadResult) -> TriadVerdict:
         for n, axis in enumerate(AXES)
         for k, degc in enumerate((low, high))
     }
-    if fit.lag.is_told:
+    if fit.lag.is_reported:
         errors["thermal_lag_s"] = fit.lag.sigma_s
     before, after = result.held_out.rms()
     largest = result.hysteresis.largest
@@ -240,7 +240,7 @@ def _on_triad(name: str, result: TriadResult) -> list[Finding]:
     if not any(one.size for one in fit.structures):
         text = f"{name}: no drift stands out of the noise, so none is taken off"
         findings.append(Finding(Level.WARNING, text))
-    if lag.is_told:
+    if lag.is_reported:
         late = "elements follow thermometer" if lag.lag_s > 0.0 else "thermometer follows elements"
         text = f"{name}: {late} by {abs(lag.lag_s):.0f} s ({lag.low_s:.0f} to {lag.high_s:.0f})"
         findings.append(Finding(Level.NOTE, text))

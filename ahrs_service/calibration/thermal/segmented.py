@@ -1,8 +1,8 @@
 """The paper's two thermal models: a table over temperature segments, conventional and improved.
 
 Conventional (Liu et al., eq. (1)): in each segment K and B from six positions in the chamber. It
-takes each position for what the table was told, so a unit that lies turned in its mounting, as the
-second mounting always does, gets axes turned by as much.
+takes each position for what the table was commanded, so a unit that lies rotated in its mounting,
+as the second mounting always does, gets axes rotated by as much.
 
 Improved (eq. (2) and (3)): K and B from six positions on a true table at room temperature; in the
 chamber only what the output moved since room temperature counts, in like position, as a quadratic
@@ -32,7 +32,7 @@ def segment_basis(rows: ThermalRows, continuous: bool, width_degc: float = SEGME
 def fit_conventional(
     rows: ThermalRows, nominal: Floats, room_degc: float, continuous: bool = True
 ) -> TriadCalibration:
-    """Fit K(T) and B(T) (Liu et al., eq. (1)); `nominal` [N, 3] what the table was told."""
+    """Fit K(T) and B(T) (Liu et al., eq. (1)); `nominal` [N, 3] what the table was commanded."""
     basis = segment_basis(rows, continuous)
     functions = basis.values(rows.temperature_degc)
     inputs = np.hstack([nominal, np.ones((len(rows), 1))])
@@ -57,7 +57,7 @@ def fit_improved(
     """Fit E_T (Liu et al., eq. (3)); `matrix` K and `bias` B are those of room temperature."""
     basis = segment_basis(rows, continuous)
     moved = rows.output - _room_outputs(rows, room_degc)[rows.level]
-    # A table that jumps is nil at room temperature by its fit: a mean over the whole segment.
+    # A table that jumps is zero at room temperature by its fit: a mean over the whole segment.
     if continuous:
         functions = basis.zeroed(rows.temperature_degc, room_degc)
     else:

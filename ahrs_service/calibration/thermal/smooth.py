@@ -55,14 +55,14 @@ def fit_smooth(rows: ThermalRows, zero_degc: float, with_lag: bool = True) -> Sm
     lag, acting = Lag(), rows
     if with_lag:
         lag = estimate_lag(rows, structures, zero_degc, level_outputs(rows))
-    if lag.is_told:
+    if lag.is_reported:
         lagged = rows.at_element(lag.lag_s)
         others, lagged_rms = choose(lagged, zero_degc, structures)
         # What the residual of the fit speaks for must hold for rows held out, too.
         if np.log(lagged_rms / rms).sum() < 0.0:
             structures, acting = others, lagged
         else:
-            lag = replace(lag, lag_s=0.0, is_told=False)
+            lag = replace(lag, lag_s=0.0, is_reported=False)
     curves, residual = fit_curves(acting, structures, zero_degc)
     colour = np.array([inflation(residual[:, i]) for i in range(3)])
     return SmoothFit(acting, curves, lag, residual, colour)

@@ -89,7 +89,7 @@ class Choice:
 
         Those are the structures with ROWS_EACH rows or more for each coefficient, whose curves bend
         no faster than the paper's table: a coefficient for each SEGMENT_DEGC of the span, and the
-        slope. The least held-out residual foretells best (Li, Annals of Statistics 15, 1987).
+        slope. The least held-out residual predicts best (Li, Annals of Statistics 15, 1987).
         """
         low, high = self._rows.span_degc
         most = 1 + round((high - low) / SEGMENT_DEGC)

@@ -214,7 +214,7 @@ def _solve(products: Floats, size: int) -> tuple[Floats, Floats, Floats]:
 
 
 def _inverse(matrix: Floats) -> Floats:
-    """Inverse of a symmetric matrix; directions that no row has seen are left at nil."""
+    """Inverse of a symmetric matrix; directions that no row has seen are left at zero."""
     if not len(matrix):
         return matrix
     factor, failed = scipy.linalg.lapack.dpotrf(matrix, lower=1)

@@ -147,8 +147,9 @@ def forms_of(residual: Residual, effect: Effect) -> list[dict[str, float]]:
     part = slice(0, 3) if effect.triad == "gyro" else slice(3, 6)
     low, high = limits(residual, effect)
     if high == low:
-        return [{"limit": low}]
-    return [{"limit": float(residual.ends[part].max() * share)} for share in _LIMITS]
+        return [{effect.limited_by: low}]
+    largest = residual.ends[part].max()
+    return [{effect.limited_by: float(largest * share)} for share in _LIMITS]
 
 
 def missing_covariate(effect: Effect, columns: Columns) -> str | None:
@@ -172,10 +173,13 @@ def responses(residual: Residual, effect: Effect, form: dict[str, float]) -> lis
     return [residual.project(effect.add(columns, values))]
 
 
-def library_of(residual: Residual, names: Sequence[str] = tuple(EFFECTS)) -> Library:
-    """Return the responses of all effects that this recording could show, and of unknown ones."""
+def library_of(residual: Residual, names: Sequence[str] | None = None) -> Library:
+    """Return the responses of all effects that this recording could show, and of unknown ones.
+
+    `names` of the effects to look for: all that are known if left out.
+    """
     library, rows, used = Library(), [], 0
-    for name in names:
+    for name in EFFECTS if names is None else names:
         effect = EFFECTS[name]
         why = missing_covariate(effect, residual.columns)
         if why is not None:

@@ -36,7 +36,7 @@ def best_forms(library: Library, gains: Gains) -> list[tuple[Candidate, float]]:
 
 
 def term_of(candidate: Candidate) -> Term:
-    """Return the term that a candidate begins with: its form, and nil numbers."""
+    """Return the term that a candidate begins with: its form, and zero numbers."""
     assert candidate.effect is not None
     values = candidate.effect.neutral()
     return Term(

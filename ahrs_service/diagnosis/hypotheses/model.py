@@ -1,6 +1,6 @@
 """A misfit explained: named effects with their parameters, unknown dependences, noise."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -15,6 +15,7 @@ from ahrs_service.diagnosis.hypotheses.candidates import (
 from ahrs_service.diagnosis.input.misfit import Noise, Residual, nuisance_rows
 from ahrs_service.diagnosis.noise_model.likelihood import fit, fit_noise
 from ahrs_service.effects.base import Addition, Columns, Effect, Parameter
+from ahrs_service.effects.undo import ideal_motion
 from ahrs_service.records import Floats
 
 SIZES: Final = 2.0
@@ -23,15 +24,11 @@ SIZES: Final = 2.0
 Of all magnitudes that were planted into test recordings, on purpose too large some, the largest
 was 4.0 of the sizes."""
 
-_TURNS: Final = 6
+_ITERATIONS: Final = 6
 _SETTLED_SIGMA: Final = 0.05
 _RELATIVE_STEP: Final = 1e-3
-_UNDO_TURNS: Final = 6
-_REFIT_TURNS: Final = 8
-_TIMING: Final = ("time_offset", "clock_drift")
-_FORMING: Final = ("low_pass", "mounting_rotation")
-_DYNAMIC: Final = (*_TIMING, *_FORMING)
-"""Effects large enough, and of a kind, that the reading is no substitute for the ideal motion."""
+_UNDO_ITERATIONS: Final = 6
+_REFIT_ITERATIONS: Final = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,32 +76,10 @@ def free_numbers(terms: tuple[Term, ...]) -> list[Number]:
 def motion_under(columns: Columns, terms: tuple[Term, ...]) -> Columns:
     """Return the ideal motion where `columns` holds what an IMU with these terms reads.
 
-    What is late is moved back; the rest by turns, u <- reading - added(u), which a filter brings
-    nearer by 1 - H each.
+    Of the other effects' terms the reading is a substitute.
     """
-    read = columns
-    for term in terms:
-        if term.effect.name in _TIMING:
-            early = {name: -np.asarray(value) for name, value in term.values.items()}
-            read = _with(read, term.effect.add(read, early), 1.0)
-    ideal = read
-    moving = [term for term in terms if term.effect.name in _FORMING]
-    for _ in range(_UNDO_TURNS if moving else 0):
-        under = read
-        for term in moving:
-            under = _with(under, term.effect.add(ideal, term.values), -1.0)
-        ideal = under
-    return ideal
-
-
-def _with(columns: Columns, added: Addition, sign: float) -> Columns:
-    """Return the motion of `columns` with `sign` times what is added to it."""
-    rate, force = columns.rate_rad_s, columns.force_m_s2
-    return replace(
-        columns,
-        rate_rad_s=rate if added.gyro is None else rate + sign * added.gyro,
-        force_m_s2=force if added.accel is None else force + sign * added.accel,
-    )
+    acting = [(term.effect, term.values) for term in terms if term.effect.alters_motion]
+    return ideal_motion(columns, acting, _UNDO_ITERATIONS)
 
 
 def _motion(residual: Residual, effect: Effect, terms: tuple[Term, ...]) -> Columns:
@@ -147,7 +122,7 @@ def derivative(
     project = residual.project_body if in_body else residual.project
     term, parameter = terms[number.term], number.parameter
     columns = _motion(residual, term.effect, terms)
-    if not number.is_form and term.effect.name not in _DYNAMIC:
+    if not number.is_form and not term.effect.alters_motion:
         form = {p.name: float(term.values[p.name]) for p in term.effect.parameters if p.grid}
         entry = (parameter, number.index)
         return project(unit_response(term.effect, columns, form, entry))
@@ -180,7 +155,8 @@ def _possible(residual: Residual, terms: tuple[Term, ...]) -> tuple[Term, ...]:
         values = dict(term.values)
         if term.effect.is_limit:
             bounds = limits(residual, term.effect)
-            values["limit"] = np.array(np.clip(float(values["limit"]), *bounds))
+            name = term.effect.limited_by
+            values[name] = np.array(np.clip(float(values[name]), *bounds))
         possible.append(Term(term.effect, values))
     return tuple(possible)
 
@@ -194,7 +170,7 @@ def _base(residual: Residual, terms: tuple[Term, ...], unknown_rows: Floats) -> 
 def _prior(terms: tuple[Term, ...], numbers: list[Number], count: int) -> Floats:
     """Return the prior [count+1, count+1] of a base whose last columns are the `numbers`.
 
-    Each number that enters linearly is Gaussian about nil, its sigma SIZES of the largest that
+    Each number that enters linearly is Gaussian about zero, its sigma SIZES of the largest that
     data sheets give: what the data do not tell stays small, and what they tell is left alone.
     """
     prior = np.zeros((count + 1, count + 1))
@@ -221,7 +197,7 @@ def settle(
     best: Model | None = None
     change, shares = np.zeros(len(numbers)), 1.0
     start = terms
-    for _ in range(_TURNS):
+    for _ in range(_ITERATIONS):
         misfit = residual.rows - added_rows(residual, terms)
         base = _base(residual, terms, unknown_rows)
         prior = _prior(terms, numbers, base.shape[2])
@@ -258,11 +234,11 @@ def settle(
     return best
 
 
-def refit(residual: Residual, model: Model, turns: int = 2) -> Model:
+def refit(residual: Residual, model: Model, iterations: int = 2) -> Model:
     """Fit numbers and noise in turn."""
-    for _ in range(turns):
+    for _ in range(iterations):
         start = _better_start(residual, model)
-        noise = fit_noise(residual, model.base, model.misfit, model.prior, start, _REFIT_TURNS)
+        noise = fit_noise(residual, model.base, model.misfit, model.prior, start, _REFIT_ITERATIONS)
         before = model.log_likelihood
         model = settle(residual, model.terms, noise, model.unknown, model.unknown_rows)
         if model.log_likelihood - before < 0.3:

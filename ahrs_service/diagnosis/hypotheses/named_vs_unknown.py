@@ -32,7 +32,7 @@ _TRIED: Final = 3
 def evidence(gain: float, freedom: int) -> float:
     """Return the log Bayes factor [nats] of `freedom` numbers that gain so much likelihood.
 
-    Numbers Gaussian about nil, g times as uncertain beforehand as the data leave them, at the g
+    Numbers Gaussian about zero, g times as uncertain beforehand as the data leave them, at the g
     of highest evidence: gain - K/2 (1 + ln(2 gain / K)) (George, Foster 2000, eq. (14); Liang et
     al. 2008, sec. 2.4).
     """

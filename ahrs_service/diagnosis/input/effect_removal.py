@@ -1,11 +1,10 @@
 """Effects put into, or taken out of, the readings of a recording itself.
 
 What a twin knows is taken out before recording and reference are compared; what a test plants is
-put in. The motion by which an effect acts is the IMU's own, smoothed over 50 ms, so that noise is
-not taken for motion; timing is in the stamps.
+put in, both by effects.undo. The motion by which an effect acts is the IMU's own, smoothed over
+50 ms, so that noise is not taken for motion; timing is in the stamps.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -13,15 +12,12 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from ahrs_service.diagnosis.input.diagnosis_input import Recorded, Series
-from ahrs_service.effects.base import Columns, Effect, Values
+from ahrs_service.effects.base import Columns
+from ahrs_service.effects.undo import Acting, added, added_to, delay_s
 from ahrs_service.errors import DiagnosisError
-from ahrs_service.records import Floats
-
-Known = Sequence[tuple[Effect, Values]]
 
 _SMOOTHED_S: Final = 0.05
-_TURNS: Final = 3
-_TIMING: Final = ("time_offset", "clock_drift")
+_ITERATIONS: Final = 3
 
 
 def acting(recorded: Recorded) -> Columns:
@@ -53,66 +49,39 @@ def acting(recorded: Recorded) -> Columns:
     )
 
 
-def with_effects(recorded: Recorded, effects: Known) -> Recorded:
+def with_effects(recorded: Recorded, effects: Acting) -> Recorded:
     """Return the recording of an IMU on which `effects` act as well."""
-    gyro, accel = _added(acting(recorded), effects)
+    gyro, accel = added(_known(acting(recorded), effects), effects)
     return replace(
         recorded,
-        imu_time_s=recorded.imu_time_s + _late_s(recorded.imu_time_s, effects),
+        imu_time_s=recorded.imu_time_s + delay_s(recorded.imu_time_s, effects),
         gyro_rad_s=recorded.gyro_rad_s + gyro,
         accel_m_s2=recorded.accel_m_s2 + accel,
     )
 
 
-def without_effects(recorded: Recorded, effects: Known) -> Recorded:
+def without_effects(recorded: Recorded, effects: Acting) -> Recorded:
     """Return the recording with `effects` taken out of it; ValueError names what they need.
 
-    u <- measured - added(u), a few turns; what was cut off or filtered away comes back to first
-    order at most.
+    What was cut off or filtered away comes back to first order at most.
     """
     if not effects:
         return recorded
-    time_s = recorded.imu_time_s - _late_s(recorded.imu_time_s, effects)
+    time_s = recorded.imu_time_s - delay_s(recorded.imu_time_s, effects)
     recorded = replace(recorded, imu_time_s=time_s)
-    columns = acting(recorded)
-    measured = columns.rate_rad_s, columns.force_m_s2
-    for _ in range(_TURNS):
-        gyro, accel = _added(columns, effects)
-        rate = measured[0] - gyro
-        columns = replace(
-            columns,
-            rate_rad_s=rate,
-            force_m_s2=measured[1] - accel,
-            angular_acceleration_rad_s2=np.gradient(rate, time_s, axis=0),
-        )
+    gyro, accel = added_to(_known(acting(recorded), effects), effects, _ITERATIONS)
     return replace(
         recorded, gyro_rad_s=recorded.gyro_rad_s - gyro, accel_m_s2=recorded.accel_m_s2 - accel
     )
 
 
-def _late_s(time_s: Floats, effects: Known) -> Floats:
-    """Return how late the stamps [N] are [s]."""
-    late = np.zeros(len(time_s))
-    for effect, values in effects:
-        if effect.name == "time_offset":
-            late += values["offset_s"]
-        elif effect.name == "clock_drift":
-            late += 1e-6 * values["ppm"] * (time_s - time_s[0])
-    return late
-
-
-def _added(columns: Columns, effects: Known) -> tuple[Floats, Floats]:
-    gyro, accel = np.zeros(columns.rate_rad_s.shape), np.zeros(columns.force_m_s2.shape)
-    for effect, values in effects:
-        if effect.name in _TIMING:
-            continue
-        for name in effect.needs:
-            if not columns.knows(name):
-                raise DiagnosisError(
-                    f"the twin's {effect.id} needs {name}, which the recording has not; "
-                    "leave the effect out of the twin"
-                )
-        addition = effect.add(columns, values)
-        gyro += 0.0 if addition.gyro is None else addition.gyro
-        accel += 0.0 if addition.accel is None else addition.accel
-    return gyro, accel
+def _known(columns: Columns, effects: Acting) -> Columns:
+    """Return the columns if they hold what the effects need; ValueError names what they lack."""
+    for effect, _ in effects:
+        name = effect.unknown_need(columns)
+        if name is not None:
+            raise DiagnosisError(
+                f"the twin's {effect.id} needs {name}, which the recording has not; "
+                "leave the effect out of the twin"
+            )
+    return columns

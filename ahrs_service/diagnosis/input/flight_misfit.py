@@ -152,13 +152,13 @@ class FlightResidual:
     def _paths(self, speeds: Floats) -> tuple[Floats, Floats, Floats]:
         """Return mean rotation and integrated -[f x] of the steps to each row; rotation there."""
         path = self._windows(self._axes[:: self._parts])
-        turn_of_step = path.copy()
-        turn_of_step[1:] = 0.5 * (path[1:] + path[:-1])
+        rotation_of_step = path.copy()
+        rotation_of_step[1:] = 0.5 * (path[1:] + path[:-1])
         speed = self._windows(_sum(speeds))
         x, y, z = np.diff(speed, axis=0, prepend=speed[:1]).T
         zero = np.zeros(len(x))
         cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-        return turn_of_step, -cross, path
+        return rotation_of_step, -cross, path
 
     def _mean_bias(
         self, reference: Reference, increments: Floats, away: npt.NDArray[np.bool_]

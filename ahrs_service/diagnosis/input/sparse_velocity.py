@@ -25,7 +25,7 @@ class Instants:
     count: int
 
     def measured(self, values: Floats) -> Floats:
-        """Return the rows [count, 3] of values [M, 3] on the fine grid, nil where not measured."""
+        """Return the rows [count, 3] of values [M, 3] on the fine grid, zero where not measured."""
         share = self.share[:, None]
         return self.put((1.0 - share) * values[self.before] + share * values[self.before + 1])
 

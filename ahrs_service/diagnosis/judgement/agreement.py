@@ -33,7 +33,7 @@ def scatter(residual: Residual, model: Model, columns: list[int]) -> float:
     """Return by how much blocks of the recording contradict each other, 1 where they do not.
 
     `columns` of the model's base. With G_b the Gram matrix of these columns, freed of all others,
-    in block b and s_b their product with the innovations left there (whose sum is nil), the sum
+    in block b and s_b their product with the innovations left there (whose sum is zero), the sum
     of s_b' G_b^-1 s_b is chi-squared with (blocks - 1) K degrees of freedom where the noise is what
     the model says. Where it is larger by more than chance (one in a thousand), the ratio of the two
     is that of true variances to those of the model, as of Birge's for measurements that scatter

@@ -64,7 +64,7 @@ def _fitted(white: Floats, rows: Places, prior: Floats) -> Floats:
 def _sizes(model: Model) -> Floats:
     """Return the prior [B+1, B+1] of a model's numbers: as large as the whole recording has them.
 
-    About nil the linear ones, about what they are the forms. Blocks that tell nothing of a number
+    About zero the linear ones, about what they are the forms. Blocks that tell nothing of a number
     (of a warm-up, all but the first) then predict nothing of it, instead of anything. A limit
     stays where the readings of the whole recording end: what it adds bends there, and a block
     that only comes near it would move it anywhere.

@@ -114,7 +114,7 @@ def fit_noise(
     target: Floats,
     prior: Floats,
     start: Noise,
-    turns: int = 25,
+    iterations: int = 25,
 ) -> Noise:
     """Return the noise of highest restricted likelihood with `regressors` [N, 6, K] in the model.
 
@@ -126,7 +126,7 @@ def fit_noise(
     low, high = np.array(residual.noise_bounds()).T
     noise = np.clip(start, low, high)
     damping = 0.0
-    for _ in range(turns):
+    for _ in range(iterations):
         here, gradient, information = score.slope(noise)
         free = ~(((noise <= low) & (gradient > 0.0)) | ((noise >= high) & (gradient < 0.0)))
         scale = np.diag(np.diag(information)[free])

@@ -26,7 +26,7 @@ def innovations(residual: Residual, model: Model) -> Floats:
 
 def whiteness(residual: Residual, model: Model) -> Whiteness:
     """Return the p-values of Ljung and Box's and of Jarque and Bera's test per channel."""
-    # Where a channel was not measured its innovation is nil.
+    # Where a channel was not measured its innovation is zero.
     left = [column[column != 0.0] for column in innovations(residual, model).T]
     return Whiteness(
         tuple(_ljung_box(column) for column in left),

@@ -81,7 +81,7 @@ def _of_covariate(gram: Floats, name: str, edges: Floats) -> list[Covariate]:
     found = []
     for channel in range(6):
         part = slice(channel * bins, (channel + 1) * bins)
-        # One mean is not told from the bias: a little is added so that they centre on nil.
+        # One mean is not told from the bias: a little is added so that they centre on zero.
         part_gram = own[part, part] + 1e-6 * np.trace(own[part, part]) / bins * np.eye(bins)
         mean, covariance, _ = solve(part_gram, own[part, -2])
         fitted, _, _ = solve(part_gram, own[part, -1])

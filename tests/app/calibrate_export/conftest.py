@@ -17,6 +17,7 @@ from ahrs_service.links.simulated.autopilot_parameters import (
 )
 from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration
+from tests.hang import HANG_S
 
 
 def unit(**fields):
@@ -72,7 +73,7 @@ async def autopilot(live, folder, kind="udpout", number=ARDUPILOT, limits=None):
 
 
 async def command(*words):
-    async with asyncio.timeout(30.0):
+    async with asyncio.timeout(HANG_S):
         return await asyncio.to_thread(cli.main, ["calibrate", *map(str, words)])
 
 

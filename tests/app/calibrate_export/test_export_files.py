@@ -64,7 +64,7 @@ def test_what_came_on_top_of_the_autopilot_s_own_replaces_both(folder, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "told"),
+    ("words", "code", "printed"),
     [
         (["unit.toml", "--param", "a.param"], 2, "--param needs --autopilot"),
         (["--param", "a.param", "--autopilot", "px4"], 2, "give calibration files, or --restore"),
@@ -85,14 +85,14 @@ def test_what_came_on_top_of_the_autopilot_s_own_replaces_both(folder, capsys):
         (["unit.toml", "--link", "nonsense"], 1, "no such kind of link"),
     ],
 )
-def test_wrong_usage_and_refusals(folder, capsys, words, code, told):
+def test_wrong_usage_and_refusals(folder, capsys, words, code, printed):
     refused = Verdict(usable=False, sentences=("do not use: span 8 degC",))
     calibration_file.save("bad.toml", unit(verdict=refused))
     assert cli.main(["calibrate", "export", *words]) == code
-    assert told in text_of(capsys)
+    assert printed in text_of(capsys)
 
 
-def test_a_real_recording_s_parameters_and_who_told_them(folder, shared, capsys):
+def test_a_real_recording_s_parameters_and_who_reported_them(folder, shared, capsys):
     flights = shared / "flights"
     log = flights / "bench_cuav_2021-12-08_static_warmup_2hz.tlog"
     assert cli.main(["calibrate", "import", str(log), "--imu", "2", "--out", "a.toml"]) == 0
@@ -105,6 +105,6 @@ def test_a_real_recording_s_parameters_and_who_told_them(folder, shared, capsys)
     assert "INS_GYROFFS_X, INS_GYROFFS_Y" in text_of(capsys)
 
 
-def test_a_recording_without_parameters_is_told(folder, simulated_tlog, capsys):
+def test_a_recording_without_parameters_is_reported(folder, simulated_tlog, capsys):
     assert cli.main(["calibrate", "import", str(simulated_tlog), "--out", "a.toml"]) == 1
     assert "carries no parameters" in text_of(capsys)

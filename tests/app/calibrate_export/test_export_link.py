@@ -34,8 +34,8 @@ def test_written_read_back_and_put_back_again(live, folder, capsys, kind, number
 
             words = ("export", "unit.toml", "--link", uri, "--yes", "--backup", "old.param")
             assert await command(*words) == 0
-            told = text_of(capsys)
-            assert "parameters written and read back; restart the autopilot" in told
+            printed = text_of(capsys)
+            assert "parameters written and read back; restart the autopilot" in printed
             ids = {"accel": 4259850, "gyro": 4259850}
             wanted = to_px4(unit(), 1, device_ids=ids) if number == PX4 else to_ardupilot(unit())
             changed = {n: v for n, v in far.parameters.values.items() if v != before[n]}
@@ -88,18 +88,18 @@ def test_a_signed_link(live, folder, capsys, monkeypatch):
     assert "no heartbeat of an autopilot" in text_of(capsys)
 
 
-def test_losses_and_what_no_autopilot_carries_are_told(live, folder, capsys):
+def test_losses_and_what_no_autopilot_carries_are_reported(live, folder, capsys):
     async def scenario():
         async with autopilot(live, folder) as far:
             await command("export", "unit.toml", "--link", far.vehicle.uri)
 
     run(scenario())
-    told = text_of(capsys)
-    assert "what the autopilot's form of calibration loses" in told
-    assert "now in force: IMU 1, accel: offsets up to 0.062 m/s^2" in told
-    assert "--compensated-by" in told
+    printed = text_of(capsys)
+    assert "what the autopilot's form of calibration loses" in printed
+    assert "now in force: IMU 1, accel: offsets up to 0.062 m/s^2" in printed
+    assert "--compensated-by" in printed
     loss = to_ardupilot(unit()).losses["accel"]
-    assert f"{loss.scale[1]:.4f}" in told
+    assert f"{loss.scale[1]:.4f}" in printed
 
 
 def test_several_imus_and_a_turned_board(live, folder, capsys):

@@ -28,8 +28,8 @@ def test_a_calibration_of_another_board_is_refused(live, folder, capsys):
             assert far.parameters.values["INS_TCAL1_ENABLE"].value == 0.0
 
     run(scenario())
-    told = text_of(capsys)
-    assert "is of the board 00000000000000aa, at the link is 0123456789abcdef" in told
+    printed = text_of(capsys)
+    assert "is of the board 00000000000000aa, at the link is 0123456789abcdef" in printed
 
 
 def test_two_autopilots_on_a_link_need_a_choice(live, folder, capsys):
@@ -50,9 +50,9 @@ def test_two_autopilots_on_a_link_need_a_choice(live, folder, capsys):
             assert await command(*words, "--system", "1") == 0
 
     run(scenario())
-    told = text_of(capsys)
-    assert "autopilots of systems 1, 7 are on this link: say --system N" in told
-    assert "written and read back" in told
+    printed = text_of(capsys)
+    assert "autopilots of systems 1, 7 are on this link: say --system N" in printed
+    assert "written and read back" in printed
 
 
 def test_an_interruption_tells_how_far_it_came(live, folder, capsys):
@@ -104,11 +104,11 @@ def test_a_link_that_dies_in_the_middle_leaves_nothing_half_in_force(live, folde
             far.die_after = 12
             words = ("export", "unit.toml", "--link", far.vehicle.uri, "--yes")
             assert await command(*words, "--backup", "old.param") == 1
-            told = text_of(capsys)
-            assert "no answer" in told
-            assert "Written so far: INS_" in told
-            assert "INS_TCAL1_ENABLE may be off" in told
-            assert f"calibrate export --restore old.param --link {far.vehicle.uri} --yes" in told
+            printed = text_of(capsys)
+            assert "no answer" in printed
+            assert "Written so far: INS_" in printed
+            assert "INS_TCAL1_ENABLE may be off" in printed
+            assert f"calibrate export --restore old.param --link {far.vehicle.uri} --yes" in printed
             assert far.parameters.values["INS_TCAL1_ENABLE"].value == 0.0
             assert far.parameters.values != before
 
@@ -129,10 +129,10 @@ def test_a_value_that_is_clamped_stops_the_rest(live, folder, capsys):
             assert far.parameters.values["INS_TCAL1_ENABLE"].value == 0.0
 
     run(scenario())
-    told = text_of(capsys)
-    assert "INS_TCAL1_ACC1_Y = " in told
-    assert "was not taken: the autopilot has 100.0" in told
-    assert "--restore old.param" in told
+    printed = text_of(capsys)
+    assert "INS_TCAL1_ACC1_Y = " in printed
+    assert "was not taken: the autopilot has 100.0" in printed
+    assert "--restore old.param" in printed
 
 
 def test_a_parameter_that_is_not_there_refuses_all(live, folder, capsys):

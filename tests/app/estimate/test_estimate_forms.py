@@ -79,7 +79,7 @@ def test_time_may_begin_anywhere(aided, run):
         ({}, "frd", []),
     ],
 )
-def test_other_units_and_axes_are_told(flight, tmp_path, capsys, fields, frame, said):
+def test_other_units_and_axes_are_reported(flight, tmp_path, capsys, fields, frame, said):
     given_ = dict(flight[0])
     for name, change in fields.items():
         given_[name] = change(given_[name])

@@ -51,7 +51,7 @@ def test_the_summary_tells_the_truth(flight):
     assert sum(summary.gate_time.values()) == pytest.approx(1.0)
 
 
-def test_highres_temperature_is_taken_when_told(flight):
+def test_highres_temperature_is_taken_when_reported(flight):
     settings = config_file.load(None, ["intake.temperature_source=highres_imu"])
     summary = replay_log(flight, settings).summary
     assert summary.temperature_min_degc == summary.temperature_max_degc == 25.0

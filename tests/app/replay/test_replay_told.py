@@ -58,7 +58,7 @@ def test_the_recording_is_never_overwritten(flight, capsys):
     assert "is the recording itself" in capsys.readouterr().err
 
 
-def test_an_output_that_cannot_be_written_is_told(flight, tmp_path, capsys):
+def test_an_output_that_cannot_be_written_is_reported(flight, tmp_path, capsys):
     assert replay(flight, "--csv", tmp_path / "none" / "out.csv") == 1
     message = capsys.readouterr().err
     assert message.startswith("failed:")

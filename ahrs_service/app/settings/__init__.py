@@ -1,0 +1,1 @@
+"""The command `settings`: every setting with type, unit, value and meaning."""

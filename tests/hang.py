@@ -1,0 +1,4 @@
+"""When a test gives up waiting for what never comes."""
+
+HANG_S = 600.0
+"""No measure of speed: events are waited for, and a machine at load 10 takes its time over them."""
