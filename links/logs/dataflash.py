@@ -8,11 +8,22 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from ahrs_service.adoption import Vehicle
+from ahrs_service.links.component.parameter_values import ARDUPILOT, param_name
 from ahrs_service.links.component.unit_request import unit_name
 from ahrs_service.links.component.vehicle_trim import trim_notes, trim_of_parameter
 from ahrs_service.links.errors import RecordingError
+from ahrs_service.links.logs.dataflash_covariates import dataflash_covariates
 from ahrs_service.links.logs.dataflash_tables import DataFlashFile, read_tables
-from ahrs_service.links.logs.recording import AttitudeReference, Recording, own_readings
+from ahrs_service.links.logs.recorded_parameters import ParameterHistory, RecordedParameters
+from ahrs_service.links.logs.recording import (
+    OWN,
+    AttitudeReference,
+    Covariates,
+    Log,
+    Recording,
+    own_readings,
+)
 from ahrs_service.links.logs.satellite_clock import clock_rate
 from ahrs_service.links.mavlink.gps_velocity import LEAST_FIX, velocity_columns
 from ahrs_service.records import READING_DTYPE, ImuSource, Kind, Rows, empty
@@ -23,7 +34,6 @@ Integers = npt.NDArray[np.int64]
 
 _NONE: Final = (np.zeros(0, np.int64), empty(READING_DTYPE, 0))
 
-_AUTOPILOT_ARDUPILOT: Final = 3
 _UT_PER_MILLIGAUSS: Final = 0.1
 _GYRO: Final = ("GyrX", "GyrY", "GyrZ")
 _ACCEL: Final = ("AccX", "AccY", "AccZ")
@@ -47,42 +57,78 @@ _AIRSPEEDS: Final = (("ARSP", "Airspeed"), ("NTUN", "Arspd"))
 _REFERENCES: Final = ("SIM", "ATT", "AHR2", "XKF1", "NKF1", "EKF1")
 
 
-def read_dataflash(path: str | Path, progress: Callable[[float], None] | None = None) -> Recording:
-    """Read a DataFlash log: the first IMU, aiding, the trim, and the autopilot's attitudes.
+class DataFlashLog(Log):
+    """A DataFlash log that was read."""
 
-    The log has one clock, so `received_ns` equals `time_ns`; where the satellites' time tells
-    another rate all times are by that (`Recording.clock_rate`). Readings are in the order of the
-    file, but for the trim that it begins with, which holds from the first sample on. The velocity
-    is that of the first GPS receiver, of the autopilot's filter only where that never had a fix.
-    Temperature is the IMU's own (`T` or `Temp`, 0 is none). SIM, where a simulator wrote
-    it, is truth. `progress` is called with the share read, 0 to 1.
-    """
+    def __init__(self, path: Path, log: DataFlashFile) -> None:
+        self.path, self.file = path, log
+        self.clock_rate = clock_rate_of(log)
+
+    def recording(self) -> Recording:
+        """Return the first IMU, aiding, the trim, and the autopilot's attitudes.
+
+        The log has one clock, so `received_ns` equals `time_ns`; where the satellites' time tells
+        another rate all times are by that (`Recording.clock_rate`). Readings are in the order of
+        the file, but for the trim that it begins with, which holds from the first sample on. The
+        velocity is that of the first GPS receiver, of the autopilot's filter only where that never
+        had a fix. Temperature is the IMU's own (`T` or `Temp`, 0 is none). SIM, where a simulator
+        wrote it, is truth.
+        """
+        log, rate = self.file, self.clock_rate
+        offsets, imu = _imu_readings(self.path, log)
+        _attach_magnetometer(log, offsets, imu)
+        velocity, doubts = _velocity_readings(log)
+        trims = _trim_readings(log, offsets, imu)
+        parts = [(offsets, imu), _airspeed_readings(log), velocity, trims]
+        order = np.argsort(np.concatenate([at for at, _ in parts]), kind="stable")
+        readings = np.concatenate([rows for _, rows in parts])[order]
+        heartbeat = own_readings(readings["time_ns"][:1], Kind.HEARTBEAT)
+        heartbeat["autopilot"] = ARDUPILOT
+        heartbeat["vehicle"] = _vehicle(log)
+        readings = np.concatenate([heartbeat, readings])
+        for field in ("time_ns", "received_ns"):
+            readings[field] = at_rate(readings[field], rate)
+        return Recording(
+            path=self.path,
+            format="DataFlash",
+            readings=readings,
+            log=self,
+            references=_references(log, rate),
+            message_counts=log.counts(),
+            damaged=log.damaged,
+            notes=(*_notes(log, imu), *_clock_note(rate), *trim_notes(readings), *doubts),
+            units={OWN: _unit(log)},
+            clock_rate=rate,
+        )
+
+    def parameters(self, vehicle: Vehicle | None = None) -> RecordedParameters:
+        """Return what PARM records hold."""
+        del vehicle
+        layout = self.file.layouts.get("PARM")
+        history = ParameterHistory()
+        if layout is not None and {"Name", "Value"} <= set(layout.dtype.names or ()):
+            table = self.file.table("PARM")
+            names = map(param_name, table["Name"].tolist())
+            history.take(zip(names, table["Value"].tolist(), strict=True))
+        return history.result(ARDUPILOT)
+
+    def covariates(self, imu: Rows) -> Covariates:
+        """Return vibration, current, throttle and airspeed."""
+        del imu
+        return dataflash_covariates(self.file, self.clock_rate)
+
+
+def open_dataflash(
+    path: str | Path, progress: Callable[[float], None] | None = None
+) -> DataFlashLog:
+    """Read a DataFlash log, once; `progress` is called with the share read, 0 to 1."""
     path = Path(path)
-    log = read_tables(path, progress)
-    offsets, imu = _imu_readings(path, log)
-    _attach_magnetometer(log, offsets, imu)
-    velocity, doubts = _velocity_readings(log)
-    parts = [(offsets, imu), _airspeed_readings(log), velocity, _trim_readings(log, offsets, imu)]
-    order = np.argsort(np.concatenate([at for at, _ in parts]), kind="stable")
-    readings = np.concatenate([rows for _, rows in parts])[order]
-    heartbeat = own_readings(readings["time_ns"][:1], Kind.HEARTBEAT)
-    heartbeat["autopilot"] = _AUTOPILOT_ARDUPILOT
-    heartbeat["vehicle"] = _vehicle(log)
-    rate = clock_rate_of(log)
-    readings = np.concatenate([heartbeat, readings])
-    for field in ("time_ns", "received_ns"):
-        readings[field] = at_rate(readings[field], rate)
-    return Recording(
-        path=path,
-        format="DataFlash",
-        readings=readings,
-        references=_references(log, rate),
-        message_counts=log.counts(),
-        damaged=log.damaged,
-        notes=(*_notes(log, imu), *_clock_note(rate), *trim_notes(readings), *doubts),
-        unit=_unit(log),
-        clock_rate=rate,
-    )
+    return DataFlashLog(path, read_tables(path, progress))
+
+
+def read_dataflash(path: str | Path, progress: Callable[[float], None] | None = None) -> Recording:
+    """Read a DataFlash log as the pipeline takes it."""
+    return open_dataflash(path, progress).recording()
 
 
 def at_rate(time_ns: Integers, rate: float) -> Integers:

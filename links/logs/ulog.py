@@ -11,16 +11,18 @@ import numpy as np
 import numpy.typing as npt
 from pyulog import ULog
 
+from ahrs_service.adoption import Vehicle
+from ahrs_service.links.component.parameter_values import PX4
 from ahrs_service.links.component.unit_request import unit_name
 from ahrs_service.links.errors import RecordingError
-from ahrs_service.links.logs.recording import AttitudeReference, Recording, own_readings
+from ahrs_service.links.logs.recorded_parameters import ParameterHistory, RecordedParameters
+from ahrs_service.links.logs.recording import OWN, AttitudeReference, Log, Recording, own_readings
 from ahrs_service.links.mavlink.gps_velocity import LEAST_FIX
 from ahrs_service.records import READING_DTYPE, ImuSource, Kind, Rows, empty
 
 Floats = npt.NDArray[np.float64]
 Table = dict[str, npt.NDArray[Any]]
 
-_AUTOPILOT_PX4: Final = 12
 _INVALID_RELATIVE_TIME: Final = 0x7FFFFFFF
 _UT_PER_GAUSS: Final = 100.0
 _BLOCK: Final = 1 << 18
@@ -39,43 +41,70 @@ _AIRSPEEDS: Final = (
 )
 
 
-def read_ulog(path: str | Path, progress: Callable[[float], None] | None = None) -> Recording:
-    """Read a ULog: `sensor_combined` as the IMU, aiding, and the autopilot's attitude.
+class UlogLog(Log):
+    """A ULog that was read."""
 
-    ULog has one clock, so `received_ns` equals `time_ns`; readings are in order of time. The IMU's
-    temperature is that of the sensor PX4 selected: gyro, else accelerometer, of one
-    device. `progress` is called with the share read, 0 to 1. Source: docs.px4.io, ULog file
-    format.
-    """
+    def __init__(self, path: Path, tables: "_Tables") -> None:
+        self.path, self.tables = path, tables
+
+    def recording(self) -> Recording:
+        """Return `sensor_combined` as the IMU, aiding, and the autopilot's attitude.
+
+        ULog has one clock, so `received_ns` equals `time_ns`; readings are in order of time. The
+        IMU's temperature is that of the sensor PX4 selected: gyro, else accelerometer, of one
+        device. Source: docs.px4.io, ULog file format.
+        """
+        tables = self.tables
+        combined = _table(tables, "sensor_combined")
+        if combined is None or _vectors(combined, *_GYRO_NAMES) is None:
+            raise RecordingError(_no_imu(self.path, tables))
+        temperature = _temperature(tables)
+        imu = _imu_readings(combined, _magnetometer(tables, combined), temperature)
+        parts = [imu, _airspeed_readings(tables), _gps_readings(tables), _velocity_readings(tables)]
+        readings = np.concatenate([part for part in parts if len(part)])
+        readings = readings[np.argsort(readings["time_ns"], kind="stable")]
+        heartbeat = own_readings(readings["time_ns"][:1], Kind.HEARTBEAT)
+        heartbeat["autopilot"] = PX4
+        heartbeat["vehicle"] = tables.vehicle
+        own = "none of its own in the log" if temperature is None else f"from {temperature.origin}"
+        return Recording(
+            path=self.path,
+            format="ULog",
+            readings=np.concatenate([heartbeat, readings]),
+            log=self,
+            references=_references(tables),
+            message_counts=tables.counts,
+            damaged=tables.damaged,
+            notes=(f"IMU temperature: {own}", *tables.notes),
+            units={OWN: tables.unit},
+        )
+
+    def parameters(self, vehicle: Vehicle | None = None) -> RecordedParameters:
+        """Return the values at the begin of the log, and those that changed after."""
+        del vehicle
+        history = ParameterHistory()
+        for reported in self.tables.parameters:
+            history.take(reported)
+        return history.result(PX4)
+
+
+def open_ulog(path: str | Path, progress: Callable[[float], None] | None = None) -> UlogLog:
+    """Read a ULog, once; `progress` is called with the share read, 0 to 1."""
     path = Path(path)
-    tables = _load(path, progress)
-    combined = _table(tables, "sensor_combined")
-    if combined is None or _vectors(combined, *_GYRO_NAMES) is None:
-        raise RecordingError(_no_imu(path, tables))
-    temperature = _temperature(tables)
-    imu = _imu_readings(combined, _magnetometer(tables, combined), temperature)
-    parts = [imu, _airspeed_readings(tables), _gps_readings(tables), _velocity_readings(tables)]
-    readings = np.concatenate([part for part in parts if len(part)])
-    readings = readings[np.argsort(readings["time_ns"], kind="stable")]
-    heartbeat = own_readings(readings["time_ns"][:1], Kind.HEARTBEAT)
-    heartbeat["autopilot"] = _AUTOPILOT_PX4
-    heartbeat["vehicle"] = tables.vehicle
-    origin = "none of its own in the log" if temperature is None else f"from {temperature.origin}"
-    return Recording(
-        path=path,
-        format="ULog",
-        readings=np.concatenate([heartbeat, readings]),
-        references=_references(tables),
-        message_counts=tables.counts,
-        damaged=tables.damaged,
-        notes=(f"IMU temperature: {origin}", *tables.notes),
-        unit=tables.unit,
-    )
+    return UlogLog(path, _load(path, progress))
+
+
+def read_ulog(path: str | Path, progress: Callable[[float], None] | None = None) -> Recording:
+    """Read a ULog as the pipeline takes it."""
+    return open_ulog(path, progress).recording()
 
 
 @dataclass(frozen=True, slots=True)
 class _Tables:
-    """The topics of a log by (name, instance), and what was found wrong with the file."""
+    """The topics of a log by (name, instance), and what was found wrong with the file.
+
+    `parameters` are those at the begin, and the changes after.
+    """
 
     topics: dict[tuple[str, int], Table]
     counts: dict[str, int]
@@ -83,6 +112,7 @@ class _Tables:
     notes: tuple[str, ...]
     vehicle: int
     unit: str
+    parameters: tuple[list[tuple[str, float]], list[tuple[str, float]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +167,9 @@ def _load(path: Path, progress: Callable[[float], None] | None) -> _Tables:
     for (name, _), data in topics.items():
         counts[name] = counts.get(name, 0) + len(data["timestamp"])
     vehicle, unit = _vehicle(log.initial_parameters), _unit(log.msg_info_dict)
-    return _Tables(topics, counts, damaged, notes, vehicle, unit)
+    initial = [(name, float(value)) for name, value in log.initial_parameters.items()]
+    changed = [(name, float(value)) for _, name, value in log.changed_parameters]
+    return _Tables(topics, counts, damaged, notes, vehicle, unit, (initial, changed))
 
 
 def _unit(about: dict[str, Any]) -> str:

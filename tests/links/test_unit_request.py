@@ -82,4 +82,4 @@ def test_recordings_tell_it(name, unit, shared):
     path = shared / "flights" / name
     if not path.exists():
         pytest.skip(f"{path.name} is missing in ../shared/data/flights")
-    assert read_recording(path).unit == unit
+    assert read_recording(path).unit_of((1, 1)) == unit

@@ -14,7 +14,7 @@ from ahrs_service.calibration.autopilots.export import Export
 from ahrs_service.links.component.parameter_values import PX4
 from ahrs_service.links.errors import ParamError
 from ahrs_service.links.logs.param_files import INT32, REAL32, ParamValue, read_param_file
-from ahrs_service.links.logs.recorded_parameters import read_recorded_parameters
+from ahrs_service.links.logs.recording_formats import READERS, read_recorded_parameters
 from ahrs_service.records import Floats
 from ahrs_service.sensor.parameters import Calibration
 
@@ -23,7 +23,7 @@ _CALIBRATING: Final = ("INS_ACC", "INS_GYR", "INS_TCAL", "CAL_ACC", "CAL_GYRO", 
 
 def parameters_of(path: Path, say: Callable[[str], None]) -> dict[str, float]:
     """Return the parameters in a .param file or a recording; `say` is told what is odd of them."""
-    if path.suffix.lower() not in (".tlog", ".bin", ".ulg"):
+    if path.suffix.lower() not in READERS:
         return parameter_change.values_of(read_param_file(path))
     recorded = read_recorded_parameters(path)
     if not recorded.values:

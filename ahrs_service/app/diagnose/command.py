@@ -23,6 +23,7 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
+from ahrs_service.app import intake_choice
 from ahrs_service.app.diagnose import diagnosis_text as text
 from ahrs_service.app.diagnose.diagnosis_page import most_telling, page
 from ahrs_service.app.diagnose.diagnosis_terminal import summary
@@ -43,6 +44,7 @@ from ahrs_service.links.logs.recording_formats import KNOWN
 from ahrs_service.records import Floats
 from ahrs_service.sensor.compensation import compensate_columns
 from ahrs_service.sensor.parameters import Calibration, coefficients
+from ahrs_service.settings import IntakeSettings
 from ahrs_service.simulation.imu import Imu
 
 EXIT_DONE: Final = 0
@@ -70,6 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="TRUTH.json",
         help="what the recording is known to hold (as prove writes it): shown beside what is found",
     )
+    intake_choice.add_arguments(parser)
     parser.add_argument("--json", type=new_file, metavar="OUT", help="write the report")
     parser.add_argument("--html", type=new_file, metavar="OUT", help="write one page with pictures")
     parser.add_argument("--rrd", type=new_file, metavar="OUT", help="write for the Rerun viewer")
@@ -88,7 +91,8 @@ def run(args: argparse.Namespace) -> int:
     """Diagnose; return the exit code."""
     console, errors = Console(), Console(stderr=True, soft_wrap=True, highlight=False)
     twin = Imu() if args.twin is None else twin_file.read(args.twin)
-    diagnosis = diagnose_file(args.recording, twin, errors, args.truth)
+    asked = intake_choice.asked_intake(args)
+    diagnosis = diagnose_file(args.recording, twin, errors, args.truth, asked)
     console.print(summary(args.recording.name, diagnosis))
     against: tuple[str, Diagnosis] | None = None
     if args.against is not None:
@@ -114,11 +118,15 @@ def run(args: argparse.Namespace) -> int:
 
 
 def diagnose_file(
-    path: Path, twin: Imu, errors: Console, truth_path: Path | None = None
+    path: Path,
+    twin: Imu,
+    errors: Console,
+    truth_path: Path | None = None,
+    asked: IntakeSettings | None = None,
 ) -> Diagnosis:
     """Read and diagnose a recording, with a bar; RecordingError says why it cannot be."""
     with progress_bar(errors, path.name) as advance:
-        loaded = load(path, lambda share: advance("reading", _READ * share))
+        loaded = load(path, lambda share: advance("reading", _READ * share), asked)
         try:
             columns = compensated(with_velocity(loaded), twin.calibration)
             columns = without_effects(columns, twin.effects)
