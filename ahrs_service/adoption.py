@@ -27,8 +27,8 @@ def may_adopt(
     return (
         system != 0
         and autopilot != AUTOPILOT_INVALID
-        and wanted_system in (0, system)
-        and wanted_component in (0, component)
+        and (wanted_system == 0 or wanted_system == system)  # noqa: PLR1714 - compiled too
+        and (wanted_component == 0 or wanted_component == component)  # noqa: PLR1714
     )
 
 

@@ -38,9 +38,10 @@ def open_log(path: str | Path, progress: Progress | None = None) -> Log:
     path = Path(path)
     if path.is_dir():
         raise RecordingError(f"{path}: is a folder; give a recording: {KNOWN}")
+    reader = reader_for(path)
     if not path.is_file():
         raise RecordingError(f"{path}: no such file; check the path")
-    return reader_for(path)(path, progress)
+    return reader(path, progress)
 
 
 def read_recording(path: str | Path, progress: Progress | None = None) -> Recording:
