@@ -74,7 +74,7 @@ def logs(tmp_path_factory):
     """Recordings: of both vehicles, and of each alone; the second's IMU is the faster."""
     folder = tmp_path_factory.mktemp("vehicles")
     first = frames_of(1, "flight", 1)
-    second = frames_of(2, "circling", 2, RATES | {"HIGHRES_IMU": 200.0, "ATTITUDE": 50.0})
+    second = frames_of(2, "rest", 2, RATES | {"HIGHRES_IMU": 200.0, "ATTITUDE": 50.0})
     alone = {n: write(folder / f"{n}.tlog", frames) for n, frames in ((1, first), (2, second))}
     return {"both": write(folder / "flight.tlog", first, second), **alone}
 
@@ -100,7 +100,8 @@ def test_diagnosis_and_simulation_take_all_columns_of_that_vehicle(logs, asked, 
             continue
         ours, theirs = getattr(both.columns, name), getattr(alone.columns, name)
         if hasattr(ours, "time_s"):
-            assert len(ours), name
+            # The simulator's truth tells no rates.
+            assert len(ours) or name == "body_rate_rad_s", name
             np.testing.assert_array_equal(ours.time_s, theirs.time_s, name)
             ours, theirs = ours.values, theirs.values
         np.testing.assert_array_equal(ours, theirs, name)
@@ -123,21 +124,26 @@ def test_calibration_takes_samples_parameters_and_board_of_that_vehicle(logs, as
 def test_all_commands_take_the_same_samples(logs, system):
     asked = IntakeSettings(system=system)
     result = replay_log(logs["both"], Settings(intake=asked))
-    replayed = result.recording.readings[result.positions]
+    # Until the intake has seen ten of each message it takes the first that came.
+    replayed = result.recording.readings[result.positions][10:]
+    count = len(replayed)
+    assert set(replayed["system"]) == {system}
     captured = read_capture(logs["both"], asked).columns
-    np.testing.assert_array_equal(captured.gyro_rad_s, replayed["gyro_rad_s"])
-    np.testing.assert_array_equal(captured.accel_m_s2, replayed["accel_m_s2"])
+    assert len(captured.time_s) < count + 25
+    np.testing.assert_array_equal(captured.gyro_rad_s[-count:], replayed["gyro_rad_s"])
+    np.testing.assert_array_equal(captured.accel_m_s2[-count:], replayed["accel_m_s2"])
     loaded = load(logs["both"], asked=asked).columns
-    np.testing.assert_array_equal(loaded.imu_time_s * 1e9, replayed["time_ns"] * 1e-9 * 1e9)
+    assert len(loaded.imu_time_s) == len(captured.time_s)
+    gyro, accel = loaded.gyro_rad_s[-count:], loaded.accel_m_s2[-count:]
     if TRIM[system] == 0.0:
-        np.testing.assert_array_equal(loaded.gyro_rad_s, replayed["gyro_rad_s"])
-        np.testing.assert_array_equal(loaded.accel_m_s2, replayed["accel_m_s2"])
+        np.testing.assert_array_equal(gyro, replayed["gyro_rad_s"])
+        np.testing.assert_array_equal(accel, replayed["accel_m_s2"])
     else:
         # Rotated about x into the vehicle's axes: the x axis stays.
-        np.testing.assert_allclose(loaded.gyro_rad_s[:, 0], replayed["gyro_rad_s"][:, 0])
+        np.testing.assert_allclose(gyro[:, 0], replayed["gyro_rad_s"][:, 0])
         c, s = np.cos(TRIM[system]), np.sin(TRIM[system])
         y, z = replayed["accel_m_s2"][:, 1:].T
-        np.testing.assert_allclose(loaded.accel_m_s2[:, 1], c * y - s * z, atol=1e-12)
+        np.testing.assert_allclose(accel[:, 1], c * y - s * z, atol=1e-12)
 
 
 def said(capsys, *words):
