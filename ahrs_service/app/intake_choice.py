@@ -5,13 +5,15 @@ first autopilot heard and its best IMU message.
 """
 
 import argparse
+import contextlib
 import dataclasses
 
 from ahrs_service import intake
-from ahrs_service.adoption import NO_VEHICLE, first_vehicle
+from ahrs_service.adoption import NO_VEHICLE, Vehicle, first_vehicle
 from ahrs_service.app import options
 from ahrs_service.app.files import config_file
 from ahrs_service.chosen_imu import ChosenImu, choose_imu
+from ahrs_service.estimator import Estimator, StateError
 from ahrs_service.links.errors import RecordingError
 from ahrs_service.links.logs.recording import Recording
 from ahrs_service.links.logs.session_marks import MarkKind
@@ -86,16 +88,33 @@ def recorded_settings(recording: Recording, advice: str) -> Settings | None:
     return None
 
 
-def intake_of(recording: Recording, asked: IntakeSettings | None) -> IntakeSettings:
+def intake_of(
+    recording: Recording, asked: IntakeSettings | None, advice: str = "give --system or --imu"
+) -> IntakeSettings:
     """Return the intake's settings for a recording, with the vehicle that it adopts."""
-    settings = asked
+    vehicle, settings = NO_VEHICLE, asked
     if settings is None:
-        found = recorded_settings(recording, "give --system or --imu")
+        found = recorded_settings(recording, advice)
         settings = IntakeSettings() if found is None else found.intake
-    vehicle = first_vehicle(recording.readings, settings)
+        vehicle = _vehicle_kept(recording)
+    if vehicle == NO_VEHICLE:
+        vehicle = first_vehicle(recording.readings, settings)
     if vehicle == NO_VEHICLE:
         return settings
     return dataclasses.replace(settings, system=vehicle[0], component=vehicle[1])
+
+
+def _vehicle_kept(recording: Recording) -> Vehicle:
+    """Return the vehicle of the session that a recording goes on with, after a rotation."""
+    for mark in recording.marks:
+        if mark.kind == MarkKind.STATE and mark.reading == 0:
+            estimator = Estimator(Settings())
+            # A state of another version is the replay's to refuse; it tells no vehicle here.
+            with contextlib.suppress(StateError):
+                estimator.restore(mark.data)
+                state = estimator.intake_state[0]
+                return int(state["system"]), int(state["component"])
+    return NO_VEHICLE
 
 
 def chosen_imu(recording: Recording, settings: IntakeSettings) -> ChosenImu:

@@ -13,7 +13,9 @@ from ahrs_service.app.cli import main
 from ahrs_service.app.diagnose.loaded_recording import load
 from ahrs_service.app.files import config_file
 from ahrs_service.app.replay.replay_log import replay_log
+from ahrs_service.estimator import Estimator
 from ahrs_service.links.errors import RecordingError
+from ahrs_service.links.logs.recording_formats import read_recording
 from ahrs_service.links.logs.session_marks import MarkKind, mark_messages
 from ahrs_service.links.logs.tlog import tlog_record
 from ahrs_service.links.mavlink.codec import Encoder, dialect
@@ -189,6 +191,22 @@ def test_a_recording_of_this_service_keeps_its_vehicle(logs, tmp_path):
     np.testing.assert_array_equal(load(path).columns.gyro_rad_s, alone.gyro_rad_s)
     assert read_capture(path).unit == BOARD[2].hex()
     assert read_capture(path, IntakeSettings(system=1)).unit == BOARD[1].hex()
+
+
+def test_after_a_rotation_the_session_s_vehicle_is_kept(logs, tmp_path):
+    """The file of a session that goes on begins with the state: the second vehicle is adopted."""
+    estimator = Estimator(Settings())
+    estimator.take(read_recording(logs[2]).readings[:100])
+    encoder = Encoder(2, 191)
+    messages = mark_messages(MarkKind.SETTINGS, config_file.to_json(Settings()))
+    messages += mark_messages(MarkKind.STATE, estimator.save())
+    marks = [tlog_record(UNIX_START_US, encoder.pack(message)) for message in messages]
+    path = tmp_path / "own.tlog"
+    path.write_bytes(b"".join(marks) + logs["both"].read_bytes())
+    assert replay_log(path).vehicle == (2, 1)
+    assert read_capture(path).unit == BOARD[2].hex()
+    alone = load(logs[2]).columns
+    np.testing.assert_array_equal(load(path).columns.gyro_rad_s, alone.gyro_rad_s)
 
 
 @pytest.fixture(scope="module")

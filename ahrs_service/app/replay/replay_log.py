@@ -8,10 +8,10 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.adoption import Vehicle, first_vehicle
+from ahrs_service.adoption import Vehicle
 from ahrs_service.app.files import calibration_file, config_file
 from ahrs_service.app.files.calibration_choice import NONE, CalibrationShelf
-from ahrs_service.app.intake_choice import recorded_settings
+from ahrs_service.app.intake_choice import intake_of
 from ahrs_service.app.replay.summary import Summary, summarise
 from ahrs_service.estimator import Estimator, StateError
 from ahrs_service.links.errors import RecordingError
@@ -75,13 +75,8 @@ def replay_recording(
 ) -> ReplayResult:
     """Replay a recording that was read, as `replay_log` does."""
     told = advance or _silent
-    unit = recording.unit_of(_vehicle(recording, settings))
-    calibration, origin = _calibration(recording, unit, sensor or (settings or Settings()).sensor)
-    obeyed = {MarkKind.SETTINGS} if settings is None else set()
-    obeyed |= {MarkKind.CALIBRATION} if calibration is None else set()
-    # A state goes with the settings and the calibration under which it came to be.
-    obeyed |= {MarkKind.STATE} if len(obeyed) == 2 else set()
-    marks = [mark for mark in recording.marks if mark.kind in obeyed]
+    calibration, origin = _calibration(recording, settings, sensor)
+    marks = _obeyed(recording, settings, calibration)
     smoother = Smoother() if smooth else None
     replay = _Replay(recording, settings, marks, calibration, smoother)
     replay.calibration = origin
@@ -118,13 +113,27 @@ def _silent(stage: str, share: float) -> None:
     del stage, share
 
 
+def _obeyed(
+    recording: Recording, settings: Settings | None, calibration: Calibration | None
+) -> list[Mark]:
+    """Return the marks that hold: of what was not given by others."""
+    obeyed = {MarkKind.SETTINGS} if settings is None else set()
+    obeyed |= {MarkKind.CALIBRATION} if calibration is None else set()
+    # A state goes with the settings and the calibration under which it came to be.
+    obeyed |= {MarkKind.STATE} if len(obeyed) == 2 else set()
+    return [mark for mark in recording.marks if mark.kind in obeyed]
+
+
 def _calibration(
-    recording: Recording, unit: str, sensor: SensorSettings
+    recording: Recording, settings: Settings | None, sensor: SensorSettings | None
 ) -> tuple[Calibration | None, str]:
-    """Return the calibration that is asked for of a unit, and what it is; None where none is."""
+    """Return the calibration that is asked for, and what it is; None where none is."""
+    sensor = sensor or (settings or Settings()).sensor
     if sensor.calibration == NONE:
         return Calibration.ideal(), "none, as asked"
     shelf = CalibrationShelf(sensor)
+    intake = intake_of(recording, None if settings is None else settings.intake, "give --config")
+    unit = recording.unit_of((intake.system, intake.component))
     choice = shelf.choose(unit)
     if choice is None:
         if shelf.is_folder:
@@ -210,13 +219,6 @@ class _Replay:
             ) from None
         self.estimator.calibrate(calibration)
         self.calibration = f"that of the recording, serial {calibration.serial or 'not told'}"
-
-
-def _vehicle(recording: Recording, settings: Settings | None) -> Vehicle:
-    """Return the vehicle that the replay is going to adopt."""
-    if settings is None:
-        settings = recorded_settings(recording, "give --config")
-    return first_vehicle(recording.readings, (settings or Settings()).intake)
 
 
 def _no_sample(recording: Recording, settings: Settings) -> str:
