@@ -28,7 +28,7 @@ def scans(monkeypatch):
         monkeypatch.setattr(module, name, counting)
 
     spy(tlog, "_read")
-    spy(ulog, "_load")
+    spy(ulog, "read_tables")
     monkeypatch.setattr(
         dataflash_tables.np,
         "fromfile",
