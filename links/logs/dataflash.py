@@ -96,7 +96,7 @@ class DataFlashLog(Log):
             clock_rate=rate,
         )
 
-    def parameters(self, vehicle: Vehicle | None = None) -> RecordedParameters:
+    def parameters(self, vehicle: Vehicle) -> RecordedParameters:
         """Return what PARM records hold."""
         del vehicle
         layout = self.file.layouts.get("PARM")

@@ -13,6 +13,7 @@ from ahrs_service.adoption import Vehicle
 from ahrs_service.links.logs.recorded_parameters import RecordedParameters
 from ahrs_service.links.logs.session_marks import Mark
 from ahrs_service.records import READING_DTYPE, Floats, Integers, Kind, Rows, empty
+from ahrs_service.settings import IntakeSettings
 
 OWN: Final[Vehicle] = (1, 1)
 """The vehicle that keeps its own log, which has no system and component numbers."""
@@ -82,8 +83,13 @@ class Log(ABC):
     def recording(self) -> "Recording":
         """Return the log as the pipeline takes it; RecordingError where it holds no IMU."""
 
-    def parameters(self, vehicle: Vehicle | None = None) -> RecordedParameters:
-        """Return the autopilot's parameters, of `vehicle` or of the first heard; none by itself."""
+    def vehicle(self, settings: IntakeSettings) -> Vehicle:
+        """Return the vehicle that the intake adopts; a log of one's own has no other."""
+        del settings
+        return OWN
+
+    def parameters(self, vehicle: Vehicle) -> RecordedParameters:
+        """Return the parameters of a vehicle's autopilot; none by itself."""
         del vehicle
         return RecordedParameters({})
 

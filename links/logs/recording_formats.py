@@ -8,6 +8,7 @@ from typing import Final, cast
 from ahrs_service.links.errors import RecordingError
 from ahrs_service.links.logs.recorded_parameters import RecordedParameters
 from ahrs_service.links.logs.recording import Log, Recording
+from ahrs_service.settings import IntakeSettings
 
 Progress = Callable[[float], None]
 Reader = Callable[[Path, Progress | None], Log]
@@ -49,6 +50,9 @@ def read_recording(path: str | Path, progress: Progress | None = None) -> Record
     return open_log(path, progress).recording()
 
 
-def read_recorded_parameters(path: str | Path) -> RecordedParameters:
-    """Return the parameters in a log, of the first vehicle heard; none of them is no error."""
-    return open_log(path).parameters()
+def read_recorded_parameters(
+    path: str | Path, settings: IntakeSettings | None = None
+) -> RecordedParameters:
+    """Return the parameters in a log, of the vehicle that the intake adopts; none is no error."""
+    log = open_log(path)
+    return log.parameters(log.vehicle(settings or IntakeSettings()))

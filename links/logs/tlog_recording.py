@@ -65,10 +65,13 @@ class TlogLog(Log):
             units=dict(_units(tlog)),
         )
 
-    def parameters(self, vehicle: Vehicle | None = None) -> RecordedParameters:
+    def vehicle(self, settings: IntakeSettings) -> Vehicle:
+        """Return the vehicle that the intake adopts, NO_VEHICLE where none is heard."""
+        return first_vehicle(self.readings, settings)
+
+    def parameters(self, vehicle: Vehicle) -> RecordedParameters:
         """Return what the vehicle reported; else what a ground station reported of it."""
         tables = self.tlog.tables
-        vehicle = vehicle or first_vehicle(self.readings, IntakeSettings())
         autopilot, others = self._autopilots(vehicle)
         counts = {
             key[:2]: tables.count(key)

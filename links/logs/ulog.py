@@ -74,7 +74,7 @@ class UlogLog(Log):
             units={OWN: tables.unit},
         )
 
-    def parameters(self, vehicle: Vehicle | None = None) -> RecordedParameters:
+    def parameters(self, vehicle: Vehicle) -> RecordedParameters:
         """Return the values at the begin of the log, and those that changed after."""
         del vehicle
         history = ParameterHistory()

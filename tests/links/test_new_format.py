@@ -51,7 +51,7 @@ class ToyLog(Log):
             units={OWN: "toy-1"},
         )
 
-    def parameters(self, vehicle=None):
+    def parameters(self, vehicle):
         return RecordedParameters({"INS_ACCOFFS_X": 0.2}, 3)
 
     def covariates(self, imu):
@@ -93,6 +93,6 @@ def test_every_command_reads_it(toy):
 def test_a_format_need_not_have_parameters_or_covariates(toy, monkeypatch):
     monkeypatch.delattr(ToyLog, "parameters")
     monkeypatch.delattr(ToyLog, "covariates")
-    assert recording_formats.open_log(toy).parameters().values == {}
+    assert recording_formats.open_log(toy).parameters(OWN).values == {}
     assert not len(load(toy).columns.current_a)
     assert read_capture(toy).compensated == ()

@@ -17,15 +17,19 @@ from ahrs_service.links.logs.param_files import INT32, REAL32, ParamValue, read_
 from ahrs_service.links.logs.recording_formats import READERS, read_recorded_parameters
 from ahrs_service.records import Floats
 from ahrs_service.sensor.parameters import Calibration
+from ahrs_service.settings import IntakeSettings
 
 _CALIBRATING: Final = ("INS_ACC", "INS_GYR", "INS_TCAL", "CAL_ACC", "CAL_GYRO", "TC_")
 
 
-def parameters_of(path: Path, say: Callable[[str], None]) -> dict[str, float]:
-    """Return the parameters in a .param file or a recording; `say` is told what is odd of them."""
+def parameters_of(path: Path, say: Callable[[str], None], system: int = 0) -> dict[str, float]:
+    """Return the parameters in a .param file or a recording; `say` is told what is odd of them.
+
+    Of a recording those of the first autopilot heard, or of that of `system`.
+    """
     if path.suffix.lower() not in READERS:
         return parameter_change.values_of(read_param_file(path))
-    recorded = read_recorded_parameters(path)
+    recorded = read_recorded_parameters(path, IntakeSettings(system=system))
     if not recorded.values:
         raise ParamError(f"{path}: carries no parameters; give the autopilot's .param file")
     for note in recorded.notes:
@@ -53,7 +57,9 @@ def exports_of(
     say: Callable[[str], None],
 ) -> dict[int, Export]:
     """Return the parameters of each IMU; `current` those of the autopilot, as far as known."""
-    under = {} if args.compensated_by is None else parameters_of(args.compensated_by, say)
+    under = (
+        {} if args.compensated_by is None else parameters_of(args.compensated_by, say, args.system)
+    )
     known = {**under, **current}
     at = (args.offsets_at, None if args.works_at is None else tuple(args.works_at))
     exports = {}

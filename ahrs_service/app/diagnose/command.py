@@ -64,7 +64,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--against",
         type=Path,
         metavar="SIM.tlog",
-        help="diagnose this recording too and say what the first has that this one lacks",
+        help="diagnose this recording too, of the first vehicle in it, and say what the first "
+        "recording has that this one lacks",
     )
     parser.add_argument(
         "--truth",
