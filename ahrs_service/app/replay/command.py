@@ -176,7 +176,7 @@ def _write_tlog(path: Path, result: ReplayResult) -> None:
         result.recording,
         result.estimates,
         result.positions,
-        result.vehicle[0],
+        result.system,
         result.settings,
     )
 

@@ -45,6 +45,11 @@ class ReplayResult:
     summary: Summary
     is_calibrated: bool
 
+    @property
+    def system(self) -> int:
+        """System number of the vehicle adopted."""
+        return self.vehicle[0]
+
 
 def replay_log(
     path: str | Path,
