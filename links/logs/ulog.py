@@ -79,7 +79,7 @@ class UlogLog(Log):
         del vehicle
         history = ParameterHistory()
         for reported in self.tables.parameters:
-            history.take(reported)
+            history.take((name, float(value)) for name, value in reported)
         return history.result(PX4)
 
 

@@ -31,7 +31,7 @@ class UlogTables:
     notes: tuple[str, ...]
     vehicle: int
     unit: str
-    parameters: tuple[list[tuple[str, float]], list[tuple[str, float]]]
+    parameters: tuple[list[tuple[str, Any]], list[tuple[str, Any]]]
 
 
 class _CountingFile(io.FileIO):
@@ -80,8 +80,8 @@ def read_tables(path: Path, progress: Callable[[float], None] | None) -> UlogTab
     for (name, _), data in topics.items():
         counts[name] = counts.get(name, 0) + len(data["timestamp"])
     vehicle, unit = _vehicle(log.initial_parameters), _unit(log.msg_info_dict)
-    initial = [(name, float(value)) for name, value in log.initial_parameters.items()]
-    changed = [(name, float(value)) for _, name, value in log.changed_parameters]
+    initial = list(log.initial_parameters.items())
+    changed = [(name, value) for _, name, value in log.changed_parameters]
     return UlogTables(topics, counts, damaged, notes, vehicle, unit, (initial, changed))
 
 
