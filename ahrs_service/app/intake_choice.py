@@ -123,8 +123,8 @@ def chosen_imu(recording: Recording, settings: IntakeSettings) -> ChosenImu:
     if not len(chosen.samples):
         raise RecordingError(
             f"{recording.path}: none of its {len(recording.readings)} readings belongs to an IMU "
-            f"of the vehicle looked for (--system {settings.system}, --imu {settings.imu_source}) "
-            "after its HEARTBEAT; give another --system or --imu"
+            f"of the vehicle looked for (--system {settings.system}, --component "
+            f"{settings.component}, --imu {settings.imu_source}) after its HEARTBEAT; give others"
         )
     return chosen
 

@@ -58,13 +58,14 @@ def load(
 ) -> Loaded:
     """Read a recording; RecordingError says why it cannot serve.
 
-    The vehicle and its IMU are those that the intake chooses, as `asked` or by itself.
+    The vehicle and its IMU are those that the intake chooses, as `asked` or by itself; unlike in a
+    replay, what they told before the vehicle's first heartbeat counts too.
     """
     recording = read_recording(path, progress)
     settings = intake_of(recording, asked)
     chosen = chosen_imu(recording, settings)
     readings = of_vehicle(recording.readings, chosen.vehicle)
-    imu = _in_time(path, recording.readings[chosen.positions])
+    imu = _in_time(path, readings[readings["source"] == chosen.source])
     reference = _reference(recording, chosen.vehicle)
     covariates = recording.log.covariates(imu)
     shift_s, begin_s = covariates.power_on_s, 0.0
