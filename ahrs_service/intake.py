@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from ahrs_service.adoption import may_adopt_kernel
 from ahrs_service.errors import InvalidValueError
 from ahrs_service.kernel import kernel
 from ahrs_service.records import (
@@ -87,7 +88,6 @@ _TYPES_OF_AIRFRAME = {
 _SOURCE_CHANGED = int(Flag.SOURCE_CHANGED)
 _IMU_CHANGED = int(Flag.IMU_CHANGED)
 _TEMPERATURE_STALE = int(Flag.TEMPERATURE_STALE)
-_AUTOPILOT_INVALID = 8
 
 _SETTLED_COUNT = 10
 _SILENCE_S = 0.25
@@ -135,9 +135,13 @@ def _adopt(parameters: Record, state: Record, reading: Record) -> bool:
     if (
         state["system"] == 0
         and reading["kind"] == _HEARTBEAT
-        and reading["autopilot"] != _AUTOPILOT_INVALID
-        and (parameters["system"] == 0 or parameters["system"] == reading["system"])
-        and (parameters["component"] == 0 or parameters["component"] == reading["component"])
+        and may_adopt_kernel(
+            reading["system"],
+            reading["component"],
+            reading["autopilot"],
+            parameters["system"],
+            parameters["component"],
+        )
     ):
         state["system"] = reading["system"]
         state["component"] = reading["component"]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from ahrs_service.errors import StateError
 from ahrs_service.estimator import Estimator
-from ahrs_service.links.mavlink.readings import recording_from_tlog
+from ahrs_service.links.logs.tlog_recording import recording_from_tlog
 from ahrs_service.records import READING_DTYPE, Kind, Phase, empty
 from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.settings import GateSettings, IntakeSettings, Settings

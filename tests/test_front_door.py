@@ -72,7 +72,7 @@ def test_no_room_imports_from_the_front_door():
                     assert not taken & set(ahrs_service.__all__), path
 
 
-def test_the_version_is_told_in_three_ways(capsys):
+def test_the_version_is_reported_in_three_ways(capsys):
     assert ahrs_service.__version__ == version("ahrs-service")
     with pytest.raises(SystemExit) as left:
         main(["--version"])

@@ -11,6 +11,7 @@ from functools import partial
 from types import TracebackType
 from typing import Any, Final, Self
 
+from ahrs_service.adoption import may_adopt
 from ahrs_service.links.component.parameter_values import (
     ARDUPILOT,
     PX4,
@@ -159,8 +160,9 @@ class ParameterClient:
         self._news.set()
 
     def _heard_autopilot(self, message: Any, sender: tuple[int, int]) -> None:
-        if self.system == 0 and self._wanted_system in (0, sender[0]):
-            self.autopilot = int(message.autopilot)
+        autopilot = int(message.autopilot)
+        if self.system == 0 and may_adopt(*sender, autopilot, self._wanted_system, 0):
+            self.autopilot = autopilot
             self.system, self.component = sender
             self._encoder = Encoder(self.system, COMPONENT, self._signer)
         elif sender[0] != self.system:

@@ -4,6 +4,7 @@ from collections import Counter, deque
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from ahrs_service.adoption import AUTOPILOT_INVALID, may_adopt
 from ahrs_service.links.mavlink.codec import dialect
 from ahrs_service.settings import Settings
 
@@ -12,7 +13,6 @@ Sender = tuple[int, int]
 
 _STRANGERS: Final = 16
 _EVENTS: Final = 64
-_INVALID: Final = int(dialect.MAV_AUTOPILOT_INVALID)
 
 
 @dataclass(slots=True)
@@ -29,7 +29,7 @@ class Traffic:
 
 
 class VehicleAdoption:
-    """Adopts the first autopilot that the settings allow, and stays with it.
+    """Adopts the first autopilot that the settings allow (adoption.may_adopt), and stays with it.
 
     `vehicle` is its address, (-1, -1) before; `system` our own system number, 0 before; `events`
     tell what a user should know, until taken.
@@ -64,7 +64,7 @@ class VehicleAdoption:
                 f"another component {self.component} speaks on system {self.system} "
                 "(or our own frames come back); set link.component to a free number",
             )
-        if message.autopilot == _INVALID:
+        if message.autopilot == AUTOPILOT_INVALID:
             return False
         if self.system == 0:
             self._adopt(message.autopilot, sender)
@@ -76,11 +76,11 @@ class VehicleAdoption:
 
     def _adopt(self, autopilot: int, sender: Sender) -> None:
         system, component = sender
-        if system == 0:
-            # The address of all: what calls itself so can be neither asked nor joined.
-            self._tell_once("warning", "an autopilot calls itself system 0; ignored")
-            return
-        if self._wanted_system not in (0, system) or self._wanted_component not in (0, component):
+        wanted = self._wanted_system, self._wanted_component
+        if not may_adopt(system, component, autopilot, *wanted):
+            if system == 0:
+                self._tell_once("warning", "an autopilot calls itself system 0; ignored")
+                return
             self._tell_once(
                 "info", f"autopilot {system}/{component} is not the one of intake.system; ignored"
             )

@@ -8,12 +8,23 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from ahrs_service.adoption import Vehicle
+from ahrs_service.links.component.parameter_values import ARDUPILOT, param_name
 from ahrs_service.links.component.unit_request import unit_name
 from ahrs_service.links.component.vehicle_trim import trim_notes, trim_of_parameter
 from ahrs_service.links.errors import RecordingError
+from ahrs_service.links.logs.dataflash_covariates import dataflash_covariates
+from ahrs_service.links.logs.dataflash_instances import at_rate, clock_rate_of, table_of
 from ahrs_service.links.logs.dataflash_tables import DataFlashFile, read_tables
-from ahrs_service.links.logs.recording import AttitudeReference, Recording, own_readings
-from ahrs_service.links.logs.satellite_clock import clock_rate
+from ahrs_service.links.logs.recorded_parameters import ParameterHistory, RecordedParameters
+from ahrs_service.links.logs.recording import (
+    OWN,
+    AttitudeReference,
+    Covariates,
+    Log,
+    Recording,
+    own_readings,
+)
 from ahrs_service.links.mavlink.gps_velocity import LEAST_FIX, velocity_columns
 from ahrs_service.records import READING_DTYPE, ImuSource, Kind, Rows, empty
 from ahrs_service.rotation import quaternion_columns
@@ -23,18 +34,12 @@ Integers = npt.NDArray[np.int64]
 
 _NONE: Final = (np.zeros(0, np.int64), empty(READING_DTYPE, 0))
 
-_AUTOPILOT_ARDUPILOT: Final = 3
 _UT_PER_MILLIGAUSS: Final = 0.1
 _GYRO: Final = ("GyrX", "GyrY", "GyrZ")
 _ACCEL: Final = ("AccX", "AccY", "AccZ")
 _TEMPERATURES: Final = ("T", "Temp")
-_INSTANCES: Final = ("I", "C")
-_TIMES: Final = {"TimeUS": 1000, "TimeMS": 1_000_000, "T": 1_000_000}
-_CLOCKS: Final = ("TimeUS", "TimeMS")
 _GPS_CLOCKS: Final = ("TimeUS", "T")
 """In the GPS records of old logs TimeMS is the satellites' time and T the autopilot's."""
-_SATELLITE_CLOCKS: Final = (("TimeUS", "GMS"), ("T", "TimeMS"))
-"""Stamps of a fix by the autopilot's clock and by the satellites' time of the week [ms]."""
 _BOARD: Final = re.compile(rb"\b([0-9A-F]{8}) ([0-9A-F]{8}) ([0-9A-F]{8})\b")
 """The number of the board in three words, as one of the first messages of a log gives it."""
 _FIRST_TEXTS: Final = 10
@@ -47,58 +52,78 @@ _AIRSPEEDS: Final = (("ARSP", "Airspeed"), ("NTUN", "Arspd"))
 _REFERENCES: Final = ("SIM", "ATT", "AHR2", "XKF1", "NKF1", "EKF1")
 
 
-def read_dataflash(path: str | Path, progress: Callable[[float], None] | None = None) -> Recording:
-    """Read a DataFlash log: the first IMU, aiding, the trim, and the autopilot's attitudes.
+class DataFlashLog(Log):
+    """A DataFlash log that was read."""
 
-    The log has one clock, so `received_ns` equals `time_ns`; where the satellites' time tells
-    another rate all times are by that (`Recording.clock_rate`). Readings are in the order of the
-    file, but for the trim that it begins with, which holds from the first sample on. The velocity
-    is that of the first GPS receiver, of the autopilot's filter only where that never had a fix.
-    Temperature is the IMU's own (`T` or `Temp`, 0 is none). SIM, where a simulator wrote
-    it, is truth. `progress` is called with the share read, 0 to 1.
-    """
+    def __init__(self, path: Path, log: DataFlashFile) -> None:
+        self.path, self.file = path, log
+        self.clock_rate = clock_rate_of(log)
+
+    def recording(self) -> Recording:
+        """Return the first IMU, aiding, the trim, and the autopilot's attitudes.
+
+        The log has one clock, so `received_ns` equals `time_ns`; where the satellites' time tells
+        another rate all times are by that (`Recording.clock_rate`). Readings are in the order of
+        the file, but for the trim that it begins with, which holds from the first sample on. The
+        velocity is that of the first GPS receiver, of the autopilot's filter only where that never
+        had a fix. Temperature is the IMU's own (`T` or `Temp`, 0 is none). SIM, where a simulator
+        wrote it, is truth.
+        """
+        log, rate = self.file, self.clock_rate
+        offsets, imu = _imu_readings(self.path, log)
+        _attach_magnetometer(log, offsets, imu)
+        velocity, doubts = _velocity_readings(log)
+        trims = _trim_readings(log, offsets, imu)
+        parts = [(offsets, imu), _airspeed_readings(log), velocity, trims]
+        order = np.argsort(np.concatenate([at for at, _ in parts]), kind="stable")
+        readings = np.concatenate([rows for _, rows in parts])[order]
+        heartbeat = own_readings(readings["time_ns"][:1], Kind.HEARTBEAT)
+        heartbeat["autopilot"] = ARDUPILOT
+        heartbeat["vehicle"] = _vehicle(log)
+        readings = np.concatenate([heartbeat, readings])
+        for field in ("time_ns", "received_ns"):
+            readings[field] = at_rate(readings[field], rate)
+        return Recording(
+            path=self.path,
+            format="DataFlash",
+            readings=readings,
+            log=self,
+            references=_references(log, rate),
+            message_counts=log.counts(),
+            damaged=log.damaged,
+            notes=(*_notes(log, imu), *_clock_note(rate), *trim_notes(readings), *doubts),
+            units={OWN: _unit(log)},
+            clock_rate=rate,
+        )
+
+    def parameters(self, vehicle: Vehicle) -> RecordedParameters:
+        """Return what PARM records hold."""
+        del vehicle
+        layout = self.file.layouts.get("PARM")
+        history = ParameterHistory()
+        if layout is not None and {"Name", "Value"} <= set(layout.dtype.names or ()):
+            table = self.file.table("PARM")
+            names = map(param_name, table["Name"].tolist())
+            history.take(zip(names, table["Value"].tolist(), strict=True))
+        return history.result(ARDUPILOT)
+
+    def covariates(self, imu: Rows) -> Covariates:
+        """Return vibration, current, throttle and airspeed."""
+        del imu
+        return dataflash_covariates(self.file, self.clock_rate)
+
+
+def open_dataflash(
+    path: str | Path, progress: Callable[[float], None] | None = None
+) -> DataFlashLog:
+    """Read a DataFlash log, once; `progress` is called with the share read, 0 to 1."""
     path = Path(path)
-    log = read_tables(path, progress)
-    offsets, imu = _imu_readings(path, log)
-    _attach_magnetometer(log, offsets, imu)
-    velocity, doubts = _velocity_readings(log)
-    parts = [(offsets, imu), _airspeed_readings(log), velocity, _trim_readings(log, offsets, imu)]
-    order = np.argsort(np.concatenate([at for at, _ in parts]), kind="stable")
-    readings = np.concatenate([rows for _, rows in parts])[order]
-    heartbeat = own_readings(readings["time_ns"][:1], Kind.HEARTBEAT)
-    heartbeat["autopilot"] = _AUTOPILOT_ARDUPILOT
-    heartbeat["vehicle"] = _vehicle(log)
-    rate = clock_rate_of(log)
-    readings = np.concatenate([heartbeat, readings])
-    for field in ("time_ns", "received_ns"):
-        readings[field] = at_rate(readings[field], rate)
-    return Recording(
-        path=path,
-        format="DataFlash",
-        readings=readings,
-        references=_references(log, rate),
-        message_counts=log.counts(),
-        damaged=log.damaged,
-        notes=(*_notes(log, imu), *_clock_note(rate), *trim_notes(readings), *doubts),
-        unit=_unit(log),
-        clock_rate=rate,
-    )
+    return DataFlashLog(path, read_tables(path, progress))
 
 
-def at_rate(time_ns: Integers, rate: float) -> Integers:
-    """Times [N] of a clock in each of whose seconds `rate` true ones pass."""
-    return time_ns if rate == 1.0 else np.rint(time_ns * rate).astype(np.int64)
-
-
-def clock_rate_of(log: DataFlashFile) -> float:
-    """Seconds of the satellites in one of the autopilot's, by the fixes of the first receiver."""
-    for own, satellites in _SATELLITE_CLOCKS:
-        table = _table(log, "GPS", ("Status", satellites), (own,))
-        if table is not None:
-            fixed = table.column("Status") >= LEAST_FIX
-            of_week_ms = table.column(satellites)[fixed].astype(np.int64)
-            return clock_rate(table.time_ns[fixed], of_week_ms)
-    return 1.0
+def read_dataflash(path: str | Path, progress: Callable[[float], None] | None = None) -> Recording:
+    """Read a DataFlash log as the pipeline takes it."""
+    return open_dataflash(path, progress).recording()
 
 
 def _clock_note(rate: float) -> tuple[str, ...]:
@@ -138,45 +163,8 @@ def _unit(log: DataFlashFile) -> str:
     return ""
 
 
-class _Table:
-    """One instance's records of a name, with their offsets and times."""
-
-    def __init__(self, log: DataFlashFile, name: str, time_field: str) -> None:
-        offsets = log.offsets_of(name)
-        rows = log.table(name)
-        for field in _INSTANCES:
-            if field in (rows.dtype.names or ()):
-                first = rows[field] == 0
-                offsets, rows = offsets[first], rows[first]
-                break
-        self._log, self._name, self._rows = log, name, rows
-        self.offsets = offsets
-        self.fields = rows.dtype.names or ()
-        self.time_ns: Integers = rows[time_field].astype(np.int64) * _TIMES[time_field]
-
-    def column(self, field: str) -> Floats:
-        return self._log.column(self._rows, self._name, field)
-
-    def columns(self, fields: tuple[str, ...]) -> Floats:
-        return np.stack([self.column(field) for field in fields], axis=-1)
-
-
-def _table(
-    log: DataFlashFile, name: str, fields: tuple[str, ...], clocks: tuple[str, ...] = _CLOCKS
-) -> _Table | None:
-    """Return the table of `name` if it has records, a time and all of `fields`."""
-    if not len(log.offsets_of(name)):
-        return None
-    present = log.layouts[name].dtype.names or ()
-    time_field = next((field for field in clocks if field in present), None)
-    if time_field is None or set(fields) - set(present):
-        return None
-    table = _Table(log, name, time_field)
-    return table if len(table.offsets) else None
-
-
 def _imu_readings(path: Path, log: DataFlashFile) -> tuple[Integers, Rows]:
-    table = _table(log, "IMU", _GYRO + _ACCEL)
+    table = table_of(log, "IMU", _GYRO + _ACCEL)
     if table is None:
         present = ", ".join(list(log.counts())[:12]) or "no records"
         raise RecordingError(
@@ -198,7 +186,7 @@ def _imu_readings(path: Path, log: DataFlashFile) -> tuple[Integers, Rows]:
 def _attach_magnetometer(log: DataFlashFile, offsets: Integers, imu: Rows) -> None:
     """Put each field measured on the next IMU row of the file; later values win."""
     fields = ("MagX", "MagY", "MagZ")
-    table = _table(log, "MAG", fields)
+    table = table_of(log, "MAG", fields)
     if table is None:
         return
     positions = np.searchsorted(offsets, table.offsets)
@@ -208,7 +196,7 @@ def _attach_magnetometer(log: DataFlashFile, offsets: Integers, imu: Rows) -> No
 
 def _airspeed_readings(log: DataFlashFile) -> tuple[Integers, Rows]:
     for name, field in _AIRSPEEDS:
-        table = _table(log, name, (field,))
+        table = table_of(log, name, (field,))
         if table is not None:
             rows = own_readings(table.time_ns, Kind.AIRSPEED)
             rows["airspeed_m_s"] = table.column(field)
@@ -218,7 +206,7 @@ def _airspeed_readings(log: DataFlashFile) -> tuple[Integers, Rows]:
 
 def _velocity_readings(log: DataFlashFile) -> tuple[tuple[Integers, Rows], tuple[str, ...]]:
     """Return the velocities over ground, and a note where the only one there is was left out."""
-    gps = _table(log, "GPS", ("Status", "Spd", "GCrs"), _GPS_CLOCKS)
+    gps = table_of(log, "GPS", ("Status", "Spd", "GCrs"), _GPS_CLOCKS)
     fixed = np.zeros(0, np.bool_) if gps is None else gps.column("Status") >= LEAST_FIX
     if gps is not None and fixed.any():
         rows = own_readings(gps.time_ns, Kind.GPS)
@@ -230,7 +218,7 @@ def _velocity_readings(log: DataFlashFile) -> tuple[tuple[Integers, Rows], tuple
         return (gps.offsets[fixed], rows[fixed]), ()
     fields = ("VN", "VE", "VD")
     for name in _VELOCITIES:
-        table = _table(log, name, fields)
+        table = table_of(log, name, fields)
         if table is None:
             continue
         rows = own_readings(table.time_ns, Kind.VELOCITY)
@@ -273,7 +261,7 @@ def _trim_readings(log: DataFlashFile, imu_offsets: Integers, imu: Rows) -> tupl
 def _references(log: DataFlashFile, rate: float) -> tuple[AttitudeReference, ...]:
     found = []
     for name in _REFERENCES:
-        table = _table(log, name, ("Roll", "Pitch", "Yaw"))
+        table = table_of(log, name, ("Roll", "Pitch", "Yaw"))
         if table is None:
             continue
         time_ns = at_rate(table.time_ns, rate)

@@ -1,12 +1,22 @@
 """What every recording reader returns, whatever the file's format."""
 
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from ahrs_service.records import READING_DTYPE, Kind, Rows, empty
+from ahrs_service.adoption import Vehicle
+from ahrs_service.links.logs.recorded_parameters import RecordedParameters
+from ahrs_service.links.logs.session_marks import Mark
+from ahrs_service.records import READING_DTYPE, Floats, Integers, Kind, Rows, empty
+from ahrs_service.settings import IntakeSettings
+
+OWN: Final[Vehicle] = (1, 1)
+"""The vehicle that keeps its own log, which has no system and component numbers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,23 +24,91 @@ class AttitudeReference:
     """An attitude the recording itself contains, to compare with.
 
     `time_ns` [N] on the clock of the IMU samples, `ned_from_body` [N, 4] wxyz. `is_truth` is set
-    for a simulator's truth; everything else is some estimator's output.
+    for a simulator's truth; everything else is some estimator's output. `vehicle` is whose it is;
+    `rate_rad_s` [N, 3] and `velocity_ned_m_s` [N, 3] are what the same messages tell, else None.
     """
 
     name: str
-    time_ns: npt.NDArray[np.int64]
-    ned_from_body: npt.NDArray[np.float64]
+    time_ns: Integers
+    ned_from_body: Floats
     is_truth: bool = False
+    vehicle: Vehicle = OWN
+    rate_rad_s: Floats | None = None
+    velocity_ned_m_s: Floats | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TimedValues:
+    """Values [N] or [N, M] at `time_s` [N], rising; empty where the log has none."""
+
+    time_s: Floats = field(default_factory=lambda: np.empty(0))
+    values: Floats = field(default_factory=lambda: np.empty(0))
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+
+def rising(time_s: Floats, values: Floats) -> TimedValues:
+    """Return values in order of time, each instant once."""
+    _, first = np.unique(time_s, return_index=True)
+    return TimedValues(time_s[first], values[first])
+
+
+@dataclass(frozen=True, slots=True)
+class Covariates:
+    """What a log tells beside readings and attitudes of one vehicle.
+
+    Times are on the clock of the IMU samples less `power_on_s`, which makes Unix time the time
+    since power-on. `vibration_m_s2` [N, 3]; `throttle` 0 to 1; `position_ned_m` [N, 3] of the GPS
+    receiver from its first 3D fix, on a sphere, flat about it.
+    """
+
+    power_on_s: float = 0.0
+    vibration_m_s2: TimedValues = field(default_factory=TimedValues)
+    current_a: TimedValues = field(default_factory=TimedValues)
+    supply_v: TimedValues = field(default_factory=TimedValues)
+    throttle: TimedValues = field(default_factory=TimedValues)
+    airspeed_m_s: TimedValues = field(default_factory=TimedValues)
+    position_ned_m: TimedValues = field(default_factory=TimedValues)
+
+
+class Log(ABC):
+    """A log file of some format that was read: once, when it was opened.
+
+    A reader's module has a function `(path, progress) -> Log`; recording_formats names it. What
+    costs time and few ask for, parameters and covariates, is made when it is asked for.
+    """
+
+    @abstractmethod
+    def recording(self) -> "Recording":
+        """Return the log as the pipeline takes it; RecordingError where it holds no IMU."""
+
+    def vehicle(self, settings: IntakeSettings) -> Vehicle:
+        """Return the vehicle that the intake adopts; a log of one's own has no other."""
+        del settings
+        return OWN
+
+    def parameters(self, vehicle: Vehicle) -> RecordedParameters:
+        """Return the parameters of a vehicle's autopilot; none by itself."""
+        del vehicle
+        return RecordedParameters({})
+
+    def covariates(self, imu: Rows) -> Covariates:
+        """Return what is told beside the IMU, whose readings [N] tell clock and vehicle."""
+        del imu
+        return Covariates()
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
     """A recording as the pipeline takes it.
 
-    `readings` [N] READING_DTYPE in order of arrival; `message_counts` messages by name;
-    `damaged` frames or bytes that could not be read, by reason; `notes` facts for the user;
-    `unit` the number of the autopilot's board (links.component.unit_request), empty if not known;
-    `clock_rate` by how much the log's own stamps were stretched to be seconds (1.0: not at all).
+    `readings` [N] READING_DTYPE in order of arrival, of all vehicles; `log` the file behind it, for
+    parameters and covariates; `marks` of a session of this service, in order; `message_counts`
+    messages by name; `damaged` frames or bytes that could not be read, by reason; `notes` facts for
+    the user; `units` the number of each autopilot's board (links.component.unit_request), as far as
+    known; `clock_rate` by how much the log's own stamps were stretched to be seconds (1.0: not at
+    all).
 
     >>> from ahrs_service import as_columns, read_recording
     >>> recording = read_recording("flight.tlog")
@@ -43,12 +121,22 @@ class Recording:
     path: Path
     format: str
     readings: Rows
+    log: Log = field(repr=False, compare=False)
     references: tuple[AttitudeReference, ...] = ()
+    marks: tuple[Mark, ...] = ()
     message_counts: dict[str, int] = field(default_factory=dict)
     damaged: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-    unit: str = ""
+    units: Mapping[Vehicle, str] = field(default_factory=dict)
     clock_rate: float = 1.0
+
+    def unit_of(self, vehicle: Vehicle) -> str:
+        """Return the number of a vehicle's board, "" if not known."""
+        return self.units.get(vehicle, "")
+
+    def references_of(self, vehicle: Vehicle) -> tuple[AttitudeReference, ...]:
+        """Return the attitudes that a vehicle tells of itself."""
+        return tuple(one for one in self.references if one.vehicle == vehicle)
 
 
 def own_readings(time_ns: npt.NDArray[np.int64], kind: Kind) -> Rows:
@@ -56,5 +144,5 @@ def own_readings(time_ns: npt.NDArray[np.int64], kind: Kind) -> Rows:
     rows = empty(READING_DTYPE, len(time_ns))
     rows["time_ns"] = rows["received_ns"] = time_ns
     rows["kind"] = kind
-    rows["system"] = rows["component"] = 1
+    rows["system"], rows["component"] = OWN
     return rows

@@ -7,14 +7,12 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from ahrs_service.adoption import AUTOPILOT_INVALID, Vehicle
 from ahrs_service.links.logs.recording import AttitudeReference
 from ahrs_service.links.logs.tlog import TlogFile
 from ahrs_service.records import Floats, ImuSource, Integers, Kind, Rows
 from ahrs_service.rotation import quaternion_columns
 
-Vehicle = tuple[int, int]
-
-_AUTOPILOT_INVALID: Final = 8
 _UNIX_FROM_NS: Final = 10**18
 """Times from here on (2001) are Unix time; no autopilot has been on for 31 years."""
 
@@ -46,6 +44,10 @@ _MESSAGES: Final[tuple[tuple[str, Callable[[Rows], Floats], bool], ...]] = (
 )
 
 
+_RATES: Final = ("rollspeed", "pitchspeed", "yawspeed")
+_VELOCITIES: Final = ("vn", "ve", "vd")
+
+
 def _median(times_ns: Integers) -> int:
     """Return the median of times near one another: double would round Unix time to 256 ns."""
     return int(times_ns[0]) + int(np.median(times_ns - times_ns[0]))
@@ -74,7 +76,7 @@ def attitude_references(
 def _vehicles(readings: Rows) -> list[Vehicle]:
     """Return (system, component) of the autopilots by heartbeat, else of who sends an IMU."""
     heartbeats = readings["kind"] == Kind.HEARTBEAT
-    autopilots = heartbeats & (readings["autopilot"] != _AUTOPILOT_INVALID)
+    autopilots = heartbeats & (readings["autopilot"] != AUTOPILOT_INVALID)
     rows = readings[autopilots if autopilots.any() else readings["kind"] == Kind.IMU]
     names = rows["system"].astype(np.int64) << 8 | rows["component"]
     found, first = np.unique(names, return_index=True)
@@ -123,7 +125,22 @@ def _of_vehicle(
         if imu.is_unix:
             time_ns = _as_unix(tlog, vehicle, imu, table[good], time_ns)
         label = f"{name} of {vehicle[0]}/{vehicle[1]}" if is_named else name
-        yield AttitudeReference(label, time_ns, q[good] / norm[good, None], is_truth)
+        yield AttitudeReference(
+            label,
+            time_ns,
+            q[good] / norm[good, None],
+            is_truth,
+            vehicle,
+            _columns(table[good], _RATES),
+            _columns(table[good], _VELOCITIES) if is_truth else None,
+        )
+
+
+def _columns(table: Rows, names: tuple[str, ...]) -> Floats | None:
+    """Return the fields side by side [N, 3], None where the message has none of them."""
+    if set(names) - set(table.dtype.names or ()):
+        return None
+    return np.stack([table[name] for name in names], axis=1).astype(np.float64)
 
 
 def _as_unix(

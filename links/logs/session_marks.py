@@ -29,11 +29,11 @@ class MarkKind(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """One mark: what it is, its bytes, and the frame of the file that completes it."""
+    """One mark: what it is, its bytes, and the index of the first reading that it holds for."""
 
     kind: MarkKind
     data: bytes
-    frame: int
+    reading: int
 
 
 _PART: Final = struct.Struct("<HH")
@@ -71,8 +71,12 @@ def _own(table: Rows) -> npt.NDArray[np.bool_]:
     return np.isin(table["payload_type"], list(_KINDS))
 
 
-def read_marks(tables: Mapping[tuple[int, int, str], Rows]) -> Iterator[Mark]:
+def read_marks(
+    tables: Mapping[tuple[int, int, str], Rows], frame_index: npt.NDArray[np.int32]
+) -> Iterator[Mark]:
     """Yield the marks of a recording's message tables, in file order.
+
+    `frame_index` [N] is the frame of each reading of the file.
 
     Only a file that begins with a mark is one of ours, and only that component's marks count: its
     recorder keeps `is_mark` messages of others out, while a ground station's recording holds
@@ -102,5 +106,6 @@ def read_marks(tables: Mapping[tuple[int, int, str], Rows]) -> Iterator[Mark]:
             continue
         parts.append(payload[_PART.size :])
         if len(parts) == count:
-            yield Mark(MarkKind(kind), b"".join(parts), int(row["frame_index"]))
+            reading = int(np.searchsorted(frame_index, row["frame_index"]))
+            yield Mark(MarkKind(kind), b"".join(parts), reading)
             pending.pop(kind)

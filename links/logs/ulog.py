@@ -1,29 +1,26 @@
-"""PX4 ULog (.ulg) recordings, read with pyulog."""
+"""PX4 ULog (.ulg) recordings."""
 
-import contextlib
-import io
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from pyulog import ULog
 
-from ahrs_service.links.component.unit_request import unit_name
+from ahrs_service.adoption import Vehicle
+from ahrs_service.links.component.parameter_values import PX4
 from ahrs_service.links.errors import RecordingError
-from ahrs_service.links.logs.recording import AttitudeReference, Recording, own_readings
+from ahrs_service.links.logs.recorded_parameters import ParameterHistory, RecordedParameters
+from ahrs_service.links.logs.recording import OWN, AttitudeReference, Log, Recording, own_readings
+from ahrs_service.links.logs.ulog_tables import Table, UlogTables, read_tables
 from ahrs_service.links.mavlink.gps_velocity import LEAST_FIX
 from ahrs_service.records import READING_DTYPE, ImuSource, Kind, Rows, empty
 
 Floats = npt.NDArray[np.float64]
-Table = dict[str, npt.NDArray[Any]]
 
-_AUTOPILOT_PX4: Final = 12
 _INVALID_RELATIVE_TIME: Final = 0x7FFFFFFF
 _UT_PER_GAUSS: Final = 100.0
-_BLOCK: Final = 1 << 18
 _GYRO_NAMES: Final = ("gyro_rad", "gyro_rad_s")
 _TEMPERATURES: Final = (
     ("sensor_gyro", "temperature", "gyro_device_id"),
@@ -39,50 +36,62 @@ _AIRSPEEDS: Final = (
 )
 
 
-def read_ulog(path: str | Path, progress: Callable[[float], None] | None = None) -> Recording:
-    """Read a ULog: `sensor_combined` as the IMU, aiding, and the autopilot's attitude.
+class UlogLog(Log):
+    """A ULog that was read."""
 
-    ULog has one clock, so `received_ns` equals `time_ns`; readings are in order of time. The IMU's
-    temperature is that of the sensor PX4 selected: gyro, else accelerometer, of one
-    device. `progress` is called with the share read, 0 to 1. Source: docs.px4.io, ULog file
-    format.
-    """
+    def __init__(self, path: Path, tables: UlogTables) -> None:
+        self.path, self.tables = path, tables
+
+    def recording(self) -> Recording:
+        """Return `sensor_combined` as the IMU, aiding, and the autopilot's attitude.
+
+        ULog has one clock, so `received_ns` equals `time_ns`; readings are in order of time. The
+        IMU's temperature is that of the sensor PX4 selected: gyro, else accelerometer, of one
+        device. Source: docs.px4.io, ULog file format.
+        """
+        tables = self.tables
+        combined = _table(tables, "sensor_combined")
+        if combined is None or _vectors(combined, *_GYRO_NAMES) is None:
+            raise RecordingError(_no_imu(self.path, tables))
+        temperature = _temperature(tables)
+        imu = _imu_readings(combined, _magnetometer(tables, combined), temperature)
+        parts = [imu, _airspeed_readings(tables), _gps_readings(tables), _velocity_readings(tables)]
+        readings = np.concatenate([part for part in parts if len(part)])
+        readings = readings[np.argsort(readings["time_ns"], kind="stable")]
+        heartbeat = own_readings(readings["time_ns"][:1], Kind.HEARTBEAT)
+        heartbeat["autopilot"] = PX4
+        heartbeat["vehicle"] = tables.vehicle
+        own = "none of its own in the log" if temperature is None else f"from {temperature.origin}"
+        return Recording(
+            path=self.path,
+            format="ULog",
+            readings=np.concatenate([heartbeat, readings]),
+            log=self,
+            references=_references(tables),
+            message_counts=tables.counts,
+            damaged=tables.damaged,
+            notes=(f"IMU temperature: {own}", *tables.notes),
+            units={OWN: tables.unit},
+        )
+
+    def parameters(self, vehicle: Vehicle) -> RecordedParameters:
+        """Return the values at the begin of the log, and those that changed after."""
+        del vehicle
+        history = ParameterHistory()
+        for reported in self.tables.parameters:
+            history.take((name, float(value)) for name, value in reported)
+        return history.result(PX4)
+
+
+def open_ulog(path: str | Path, progress: Callable[[float], None] | None = None) -> UlogLog:
+    """Read a ULog, once; `progress` is called with the share read, 0 to 1."""
     path = Path(path)
-    tables = _load(path, progress)
-    combined = _table(tables, "sensor_combined")
-    if combined is None or _vectors(combined, *_GYRO_NAMES) is None:
-        raise RecordingError(_no_imu(path, tables))
-    temperature = _temperature(tables)
-    imu = _imu_readings(combined, _magnetometer(tables, combined), temperature)
-    parts = [imu, _airspeed_readings(tables), _gps_readings(tables), _velocity_readings(tables)]
-    readings = np.concatenate([part for part in parts if len(part)])
-    readings = readings[np.argsort(readings["time_ns"], kind="stable")]
-    heartbeat = own_readings(readings["time_ns"][:1], Kind.HEARTBEAT)
-    heartbeat["autopilot"] = _AUTOPILOT_PX4
-    heartbeat["vehicle"] = tables.vehicle
-    origin = "none of its own in the log" if temperature is None else f"from {temperature.origin}"
-    return Recording(
-        path=path,
-        format="ULog",
-        readings=np.concatenate([heartbeat, readings]),
-        references=_references(tables),
-        message_counts=tables.counts,
-        damaged=tables.damaged,
-        notes=(f"IMU temperature: {origin}", *tables.notes),
-        unit=tables.unit,
-    )
+    return UlogLog(path, read_tables(path, progress))
 
 
-@dataclass(frozen=True, slots=True)
-class _Tables:
-    """The topics of a log by (name, instance), and what was found wrong with the file."""
-
-    topics: dict[tuple[str, int], Table]
-    counts: dict[str, int]
-    damaged: dict[str, int]
-    notes: tuple[str, ...]
-    vehicle: int
-    unit: str
+def read_ulog(path: str | Path, progress: Callable[[float], None] | None = None) -> Recording:
+    """Read a ULog as the pipeline takes it."""
+    return open_ulog(path, progress).recording()
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,68 +101,7 @@ class _Temperature:
     origin: str
 
 
-class _CountingFile(io.FileIO):
-    """A file that tells how far it has been read; pyulog offers no progress itself."""
-
-    def __init__(self, path: Path, progress: Callable[[float], None] | None) -> None:
-        super().__init__(path)
-        self._size = max(path.stat().st_size, 1)
-        self._progress = progress
-
-    def readinto(self, buffer: Any) -> int | None:
-        count = super().readinto(buffer)
-        if self._progress is not None:
-            self._progress(min(self.tell() / self._size, 1.0))
-        return count
-
-
-def _load(path: Path, progress: Callable[[float], None] | None) -> _Tables:
-    try:
-        with (
-            _CountingFile(path, progress) as raw,
-            # pyulog prints its findings; they are reported through Recording.damaged instead.
-            contextlib.redirect_stdout(io.StringIO()),
-        ):
-            log = ULog(io.BufferedReader(raw, _BLOCK))
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except Exception as error:
-        # pyulog lets many kinds of error out of a damaged header or definition section.
-        raise RecordingError(
-            f"{path}: not a ULog that can be read ({error}); check that the file is whole"
-        ) from error
-    damaged = {}
-    if log.dropouts:
-        damaged["drop-outs"] = len(log.dropouts)
-    if log.file_corruption:
-        damaged["corrupt sections"] = 1
-    lost_ms = sum(dropout.duration for dropout in log.dropouts)
-    notes = (f"the logger dropped {lost_ms} ms in all",) if log.dropouts else ()
-    # A damaged definition can leave a topic without its time.
-    topics = {
-        (item.name, item.multi_id): item.data for item in log.data_list if "timestamp" in item.data
-    }
-    counts: dict[str, int] = {}
-    for (name, _), data in topics.items():
-        counts[name] = counts.get(name, 0) + len(data["timestamp"])
-    vehicle, unit = _vehicle(log.initial_parameters), _unit(log.msg_info_dict)
-    return _Tables(topics, counts, damaged, notes, vehicle, unit)
-
-
-def _unit(about: dict[str, Any]) -> str:
-    """Return the number of the board, which PX4 sends as AUTOPILOT_VERSION.uid2; "" if damaged."""
-    with contextlib.suppress(ValueError):
-        return unit_name(0, bytes.fromhex(str(about.get("sys_uuid", ""))))
-    return ""
-
-
-def _vehicle(parameters: dict[str, Any]) -> int:
-    """Return the parameter MAV_TYPE, 0 (generic) where a log has none that is possible."""
-    value = parameters.get("MAV_TYPE", 0)
-    return int(value) if 0 <= value <= 255 else 0
-
-
-def _no_imu(path: Path, tables: _Tables) -> str:
+def _no_imu(path: Path, tables: UlogTables) -> str:
     has = ", ".join(sorted(tables.counts)[:12]) or "no topic at all"
     return (
         f"{path}: the ULog has no sensor_combined topic with gyro_rad; it has {has}; "
@@ -161,7 +109,7 @@ def _no_imu(path: Path, tables: _Tables) -> str:
     )
 
 
-def _table(tables: _Tables, name: str, instance: int = 0) -> Table | None:
+def _table(tables: UlogTables, name: str, instance: int = 0) -> Table | None:
     return tables.topics.get((name, instance))
 
 
@@ -213,7 +161,7 @@ def _attach(rows: Rows, field: str, time_ns: npt.NDArray[np.int64], values: Floa
     rows[field][positions[inside]] = values[inside]
 
 
-def _selected_device(tables: _Tables, field: str) -> int | None:
+def _selected_device(tables: UlogTables, field: str) -> int | None:
     for name, column in (("sensor_selection", field), ("sensors_status_imu", f"{field}_primary")):
         table = _table(tables, name)
         if table is not None and column in table and table[column][-1]:
@@ -221,7 +169,7 @@ def _selected_device(tables: _Tables, field: str) -> int | None:
     return None
 
 
-def _temperature(tables: _Tables) -> _Temperature | None:
+def _temperature(tables: UlogTables) -> _Temperature | None:
     for name, column, device_field in _TEMPERATURES:
         device = _selected_device(tables, device_field)
         for (topic, instance), table in tables.topics.items():
@@ -237,7 +185,9 @@ def _temperature(tables: _Tables) -> _Temperature | None:
     return None
 
 
-def _magnetometer(tables: _Tables, combined: Table) -> tuple[npt.NDArray[np.int64], Floats] | None:
+def _magnetometer(
+    tables: UlogTables, combined: Table
+) -> tuple[npt.NDArray[np.int64], Floats] | None:
     own = _vectors(combined, "magnetometer_ga")
     if own is not None and "magnetometer_timestamp_relative" in combined:
         relative = combined["magnetometer_timestamp_relative"].astype(np.int64)
@@ -252,7 +202,7 @@ def _magnetometer(tables: _Tables, combined: Table) -> tuple[npt.NDArray[np.int6
     return _time_ns(table), field * _UT_PER_GAUSS
 
 
-def _airspeed_readings(tables: _Tables) -> Rows:
+def _airspeed_readings(tables: UlogTables) -> Rows:
     for name, column in _AIRSPEEDS:
         table = _table(tables, name)
         if table is not None and np.isfinite(table.get(column, np.nan)).any():
@@ -262,7 +212,7 @@ def _airspeed_readings(tables: _Tables) -> Rows:
     return empty(READING_DTYPE, 0)
 
 
-def _gps_readings(tables: _Tables) -> Rows:
+def _gps_readings(tables: UlogTables) -> Rows:
     """Return the velocities of the first receiver that had a fix."""
     for name in _GPS:
         table = _table(tables, name)
@@ -279,7 +229,7 @@ def _gps_readings(tables: _Tables) -> Rows:
     return empty(READING_DTYPE, 0)
 
 
-def _velocity_readings(tables: _Tables) -> Rows:
+def _velocity_readings(tables: UlogTables) -> Rows:
     table = _table(tables, "vehicle_local_position")
     velocity = None if table is None else _columns(table, ["vx", "vy", "vz"])
     if table is None or velocity is None:
@@ -293,7 +243,7 @@ def _velocity_readings(tables: _Tables) -> Rows:
     return rows[valid]
 
 
-def _references(tables: _Tables) -> tuple[AttitudeReference, ...]:
+def _references(tables: UlogTables) -> tuple[AttitudeReference, ...]:
     found = []
     for name, is_truth in (("vehicle_attitude_groundtruth", True), ("vehicle_attitude", False)):
         table = _table(tables, name)

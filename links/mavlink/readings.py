@@ -1,31 +1,20 @@
 """From MAVLink messages to readings, by message and by column, as reading_rules says."""
 
-import math
 import struct
 from collections.abc import Callable
 from operator import attrgetter
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.links.component.unit_request import unit_name
-from ahrs_service.links.component.vehicle_trim import trim_notes
-from ahrs_service.links.errors import RecordingError
-from ahrs_service.links.logs.recording import Recording
-from ahrs_service.links.logs.references import attitude_references
-from ahrs_service.links.logs.session_marks import read_marks
-from ahrs_service.links.logs.tlog import Key, TlogFile, read_tlog
-from ahrs_service.links.mavlink.gps_velocity import course_is_doubtful, course_likeness
+from ahrs_service.links.logs.tlog import Key, TlogFile
 from ahrs_service.links.mavlink.reading_rules import ACCEL, GYRO, RULES, Conversion, Part, Rule
-from ahrs_service.records import READING_DTYPE, Floats, ImuSource, Kind, Rows, empty
+from ahrs_service.records import READING_DTYPE, Floats, Kind, Rows, empty
 
 _TIME_LIMIT_NS: Final = 2**63 - 1
 _ALL_UPDATED: Final = 0xFFFF
 _NAN: Final = float("nan")
-_AUTOPILOT: Final = 1
 
 
 _FLOATS: Final = tuple(
@@ -201,83 +190,3 @@ def _fill_part(part: Part, rule: Rule, table: Rows, rows: Rows) -> None:
         absent |= ~np.any(values != 0.0, axis=1)
     values[absent] = np.nan
     rows[part.into] = values.reshape(rows[part.into].shape)
-
-
-def recording_from_tlog(
-    path: str | Path, progress: Callable[[float], None] | None = None
-) -> Recording:
-    """Read a tlog as the pipeline takes it, with the attitudes it contains as references.
-
-    RecordingError where it holds no IMU message, saying what it has instead.
-    """
-    tlog = read_tlog(path, progress)
-    return recording_of(tlog, *from_tables(tlog))
-
-
-def recording_of(tlog: TlogFile, readings: Rows, frame_index: npt.NDArray[np.int32]) -> Recording:
-    """Return a tlog that was read, with what `from_tables` gives of it, as a recording."""
-    counts = tlog.message_counts()
-    if not np.any(readings["kind"] == Kind.IMU):
-        found = ", ".join(f"{name} {count}" for name, count in list(counts.items())[:12])
-        raise RecordingError(
-            f"{tlog.path}: holds no IMU message (HIGHRES_IMU, SCALED_IMU, RAW_IMU) with values; "
-            f"it has {found or 'none known'}; record again with one of them switched on"
-        )
-    references = attitude_references(tlog, readings, frame_index)
-    readings, doubts = _without_doubtful_courses(tlog, readings)
-    return Recording(
-        path=tlog.path,
-        format="tlog",
-        readings=readings,
-        references=references,
-        message_counts=counts,
-        damaged={name: count for name, count in tlog.damaged.items() if count},
-        notes=(*_notes(readings), *trim_notes(readings), *doubts),
-        unit=_unit(tlog),
-    )
-
-
-def _unit(tlog: TlogFile) -> str:
-    """Return the number of the board that the first autopilot reported, "" if none did."""
-    for key in tlog.tables:
-        if key[1:] == (_AUTOPILOT, "AUTOPILOT_VERSION"):
-            row = tlog.tables[key][-1]
-            return unit_name(int(row["uid"]), row["uid2"].tobytes())
-    return ""
-
-
-def _without_doubtful_courses(tlog: TlogFile, readings: Rows) -> tuple[Rows, tuple[str, ...]]:
-    """Leave out the GPS velocity of vehicles whose course does not follow their positions.
-
-    A recording of this service keeps it: it must replay as the session was.
-    """
-    notes = []
-    for key in tlog.tables:
-        likeness = course_likeness(tlog.tables[key]) if key[2] == "GPS_RAW_INT" else math.nan
-        if not course_is_doubtful(likeness):
-            continue
-        own = next(read_marks(tlog.tables), None) is not None
-        if not own:
-            readings = readings.copy()
-            theirs = (readings["system"] == key[0]) & (readings["component"] == key[1])
-            readings["velocity_ned_m_s"][theirs & (readings["kind"] == Kind.GPS)] = np.nan
-        notes.append(
-            f"GPS_RAW_INT of {key[0]}/{key[1]}: its course does not follow its positions (mean "
-            f"cosine {likeness:.2f}; cog in other units than centi-degrees?); the GPS velocity is "
-            + ("used as it was when this was recorded" if own else "not used")
-        )
-    return readings, tuple(notes)
-
-
-def _notes(readings: Rows) -> tuple[str, ...]:
-    """Say where RAW_IMU cannot be in mG: its median specific force is far from 1 g."""
-    raw = readings["accel_m_s2"][readings["source"] == ImuSource.RAW_IMU]
-    if not len(raw):
-        return ()
-    force = float(np.median(np.linalg.norm(raw, axis=1)))
-    if 0.5 < force / STANDARD_GRAVITY_M_S2 < 2.0:
-        return ()
-    return (
-        f"RAW_IMU has a median specific force of {force:.1f} m/s^2 when read in mG: it is likely "
-        "in raw counts of the sensor; choose another imu_source",
-    )

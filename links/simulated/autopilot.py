@@ -59,7 +59,7 @@ def granted_interval_ms(interval_us: int, loop_rate_hz: float) -> int | None:
 
 
 class SimulatedAutopilot:
-    """System 1, component 1: a fixed wing under ArduPilot that flies a precomputed flight.
+    """A fixed wing under ArduPilot that flies a precomputed flight; component 1 of its system.
 
     `rows` [N] are the flight at `rate_hz`, which is also the rate of the autopilot's loop: every
     message goes out at a turn of the loop with the values and the time of that turn, so truth
@@ -72,8 +72,9 @@ class SimulatedAutopilot:
         rate_hz: float,
         rates_hz: Mapping[str, float] = DEFAULT_RATES_HZ,
         signer: Signer | None = None,
+        system: int = 1,
     ) -> None:
-        self.system, self.component = 1, 1
+        self.system, self.component = system, 1
         self.counts = AutopilotCounts()
         self._rate_hz = rate_hz
         self._turns = len(rows)

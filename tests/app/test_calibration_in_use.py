@@ -97,7 +97,7 @@ def test_the_unit_that_the_autopilot_tells_in_flight_chooses_of_a_folder(
     parts = replayed(tmp_path)
     assert b"".join(part.estimates.tobytes() for part in parts) == b"".join(served.estimates)
     assert "serial A" in parts[-1].summary.calibration
-    assert parts[-1].recording.unit == (UNIT.hex() if rotate_mb == 0.0 else "")
+    assert parts[-1].recording.unit_of((1, 1)) == (UNIT.hex() if rotate_mb == 0.0 else "")
 
 
 def test_from_the_moment_on_the_attitude_goes_on_and_what_was_learnt_of_the_sensor_goes(

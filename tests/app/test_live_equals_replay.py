@@ -22,8 +22,8 @@ from ahrs_service.estimator import Estimator
 from ahrs_service.intake import STATE_DTYPE as INTAKE_STATE
 from ahrs_service.links.logs.session_marks import MarkKind, mark_messages
 from ahrs_service.links.logs.tlog import read_tlog
+from ahrs_service.links.logs.tlog_recording import recording_from_tlog
 from ahrs_service.links.mavlink.codec import Decoder, Encoder, dialect
-from ahrs_service.links.mavlink.readings import recording_from_tlog
 from ahrs_service.links.mavlink.signing import Signer, key_from_text
 from ahrs_service.pipeline import STATE_DTYPE as PIPELINE_STATE
 from ahrs_service.records import Gate, Phase

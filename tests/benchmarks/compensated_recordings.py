@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ahrs_service.calibration.autopilots.double_compensation import forms_in_force
-from ahrs_service.links.logs.recorded_parameters import read_recorded_parameters
+from ahrs_service.links.logs.recording_formats import read_recorded_parameters
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 NAMES = {3: "ArduPilot", 12: "PX4"}

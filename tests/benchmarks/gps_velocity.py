@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from pyulog import ULog
 
-from ahrs_service.links.logs.dataflash import at_rate, clock_rate_of
+from ahrs_service.links.logs.dataflash_instances import at_rate, clock_rate_of
 from ahrs_service.links.logs.dataflash_tables import read_tables
 from ahrs_service.links.logs.tlog import read_tlog
 from ahrs_service.records import Kind, Rows

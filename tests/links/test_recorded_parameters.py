@@ -3,7 +3,7 @@ from pyulog import ULog
 
 from ahrs_service.links.component.parameter_values import ARDUPILOT, PX4
 from ahrs_service.links.errors import RecordingError
-from ahrs_service.links.logs.recorded_parameters import read_recorded_parameters
+from ahrs_service.links.logs.recording_formats import read_recorded_parameters
 from ahrs_service.links.logs.tlog import tlog_record
 from ahrs_service.links.mavlink.codec import Encoder, decode_frame, dialect
 from ahrs_service.links.simulated.autopilot_parameters import (
@@ -11,6 +11,7 @@ from ahrs_service.links.simulated.autopilot_parameters import (
     ardupilot_ins,
     px4_calibration,
 )
+from ahrs_service.settings import IntakeSettings
 
 
 def write_tlog(path, frames):
@@ -81,3 +82,16 @@ def test_a_real_ulog_against_pyulog(shared):
     recorded = read_recorded_parameters(path)
     assert recorded.values == ULog(str(path)).initial_parameters
     assert recorded.values["CAL_ACC0_ID"] == 4259850
+
+
+def test_of_two_vehicles_each_keeps_its_own(tmp_path):
+    """The first heard is meant, whoever tells more; another may be asked for."""
+    second = ardupilot_ins() | {"INS_ACCOFFS_X": ardupilot_ins()["INS_ACCSCAL_X"]}
+    few = [frame for frame in told(ARDUPILOT, ardupilot_ins(), 7) if b"INS_ACCOFFS_X" in frame]
+    frames = [beat(ARDUPILOT, 7), beat(ARDUPILOT, 2), *told(ARDUPILOT, second, 2), *few]
+    path = write_tlog(tmp_path / "a.tlog", frames)
+    assert read_recorded_parameters(path).values == {"INS_ACCOFFS_X": 0.0}
+    other = read_recorded_parameters(path, IntakeSettings(system=2))
+    assert other.values["INS_ACCOFFS_X"] == 1.0
+    assert len(other.values) > 10
+    assert other.notes == ()

@@ -4,10 +4,11 @@ import itertools
 
 import pytest
 
+from ahrs_service.adoption import first_vehicle
 from ahrs_service.links.component.unit_request import ATTEMPTS, UnitRequest, unit_name
 from ahrs_service.links.logs.recording_formats import read_recording
 from ahrs_service.links.mavlink.codec import dialect
-from ahrs_service.settings import SensorSettings, Settings
+from ahrs_service.settings import IntakeSettings, SensorSettings, Settings
 
 NUMBER = dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION
 SIMULATED = b"SIM-1".hex()
@@ -82,4 +83,6 @@ def test_recordings_tell_it(name, unit, shared):
     path = shared / "flights" / name
     if not path.exists():
         pytest.skip(f"{path.name} is missing in ../shared/data/flights")
-    assert read_recording(path).unit == unit
+    recording = read_recording(path)
+    vehicle = first_vehicle(recording.readings, IntakeSettings())
+    assert recording.unit_of(vehicle) == unit

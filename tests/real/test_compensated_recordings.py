@@ -9,7 +9,7 @@ from ahrs_service.calibration.autopilots.double_compensation import (
     forms_in_force,
 )
 from ahrs_service.calibration.autopilots.px4_params import from_px4, to_px4
-from ahrs_service.links.logs.recorded_parameters import read_recorded_parameters
+from ahrs_service.links.logs.recording_formats import read_recorded_parameters
 from ahrs_service.records import ImuSource
 
 KNOWN = {

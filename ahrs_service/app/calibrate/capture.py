@@ -7,23 +7,23 @@ throughout: the one that a replay would settle on, or the one named.
 import argparse
 import hashlib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from ahrs_service import intake
+from ahrs_service.app import intake_choice
 from ahrs_service.calibration.autopilots.double_compensation import already_compensated
 from ahrs_service.calibration.columns import ImuColumns
 from ahrs_service.calibration.errors import CalibrationError
+from ahrs_service.chosen_imu import choose_imu
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.errors import ConfigError
 from ahrs_service.links.errors import RecordingError
-from ahrs_service.links.logs.recorded_parameters import read_recorded_parameters
 from ahrs_service.links.logs.recording import Recording
 from ahrs_service.links.logs.recording_formats import KNOWN, read_recording
-from ahrs_service.records import SAMPLE_DTYPE, ImuSource, Kind, Rows, empty
+from ahrs_service.records import ImuSource, Rows
 from ahrs_service.settings import IntakeSettings
 
 _BETWEEN_RECORDINGS_S: Final = 1000.0
@@ -40,6 +40,7 @@ class Capture:
 
     `unit` is the number of the autopilot's board, "" where the recording does not tell it.
     `compensated` says what the autopilot had taken off these samples before, as far as is known.
+    `recording` is what was read, for whoever replays it.
     """
 
     columns: ImuColumns
@@ -50,53 +51,36 @@ class Capture:
     notes: tuple[str, ...] = ()
     compensated: tuple[str, ...] = ()
     unit: str = ""
+    recording: Recording | None = field(default=None, repr=False, compare=False)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the recordings and what chooses the samples in them."""
     parser.add_argument("recordings", nargs="*", type=Path, metavar="RECORDING", help=KNOWN)
-    parser.add_argument(
-        "--imu",
-        default="auto",
-        metavar="MESSAGE",
-        help="the IMU message: auto, or " + ", ".join(s.name for s in ImuSource if s),
-    )
-    parser.add_argument(
-        "--temperature",
-        choices=("imu", "highres_imu"),
-        default="imu",
-        help="whose temperature: the IMU's own, or HIGHRES_IMU's field (of some recordings)",
-    )
+    intake_choice.add_arguments(parser)
 
 
-def intake_of(arguments: argparse.Namespace) -> IntakeSettings:
-    """Return the settings of the intake that the arguments ask for."""
-    settings = IntakeSettings(imu_source=arguments.imu, temperature_source=arguments.temperature)
-    try:
-        intake.parameters(settings)
-    except ValueError as error:
-        raise ConfigError(str(error).replace("intake.imu_source =", "--imu")) from None
-    return settings
-
-
-def read_capture(path: Path, settings: IntakeSettings) -> Capture:
+def read_capture(path: Path, asked: IntakeSettings | None = None) -> Capture:
     """Read one recording; RecordingError where it holds no samples of the IMU asked for."""
     recording = read_recording(path)
-    return capture_of(recording, recording.readings, settings)
+    return capture_of(recording, recording.readings, asked)
 
 
-def capture_of(recording: Recording, readings: Rows, settings: IntakeSettings) -> Capture:
-    """Return the capture of those `readings` of a recording."""
-    path = recording.path
+def capture_of(recording: Recording, readings: Rows, asked: IntakeSettings | None) -> Capture:
+    """Return the capture of those `readings` of a recording; the vehicle is that of the whole."""
+    path, settings = recording.path, intake_choice.intake_of(recording, asked)
     columns, source = columns_of(readings, settings)
     if not len(columns.time_s):
         raise RecordingError(
-            f"{path}: holds no samples of the IMU asked for (--imu {settings.imu_source}); it has "
+            f"{path}: holds no samples of the IMU asked for (--system {settings.system}, --imu "
+            f"{settings.imu_source}); it has "
             + ", ".join(f"{name} {count}" for name, count in recording.message_counts.items())
         )
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
-    told = read_recorded_parameters(path)
+    vehicle = settings.system, settings.component
+    recorded = recording.log.parameters(vehicle)
+    compensated = already_compensated(recorded.values, ImuSource[source], recorded.autopilot)
     return Capture(
         columns=columns,
         path=path,
@@ -104,8 +88,9 @@ def capture_of(recording: Recording, readings: Rows, settings: IntakeSettings) -
         source=source,
         rate_hz=1.0 / columns.interval_s,
         notes=recording.notes,
-        compensated=tuple(already_compensated(told.values, ImuSource[source], told.autopilot)),
-        unit=recording.unit,
+        compensated=tuple(compensated),
+        unit=recording.unit_of(vehicle),
+        recording=recording,
     )
 
 
@@ -113,20 +98,13 @@ def read_captures(arguments: argparse.Namespace) -> list[Capture]:
     """Read the recordings named; ConfigError where there is none."""
     if not arguments.recordings:
         raise ConfigError("give one recording or more, or --link URI for a guided session")
-    settings = intake_of(arguments)
-    return [read_capture(path, settings) for path in arguments.recordings]
+    asked = intake_choice.asked_intake(arguments)
+    return [read_capture(path, asked) for path in arguments.recordings]
 
 
 def columns_of(readings: Rows, settings: IntakeSettings) -> tuple[ImuColumns, str]:
     """Return the columns of readings [N] READING_DTYPE, and the IMU message that they are of."""
-    # Without trims: a calibration is of the sensor's axes, the trim is of the vehicle's.
-    readings = readings[readings["kind"] != Kind.TRIM]
-    samples = _select(readings, settings)
-    sources, counts = np.unique(samples["source"], return_counts=True)
-    if len(sources) > 1:
-        name = ImuSource(int(sources[np.argmax(counts)])).name
-        one = IntakeSettings(settings.system, settings.component, name, settings.temperature_source)
-        samples = _select(readings, one)
+    samples = choose_imu(readings, settings).samples
     finite = np.isfinite(samples["gyro_rad_s"]).all(axis=1)
     finite &= np.isfinite(samples["accel_m_s2"]).all(axis=1)
     samples = _in_order(samples[finite])
@@ -140,15 +118,6 @@ def columns_of(readings: Rows, settings: IntakeSettings) -> tuple[ImuColumns, st
         ),
         source,
     )
-
-
-def _select(readings: Rows, settings: IntakeSettings) -> Rows:
-    count = int(np.count_nonzero(readings["kind"] == Kind.IMU))
-    samples, positions = empty(SAMPLE_DTYPE, count), np.zeros(count, np.int64)
-    written = intake.select(
-        intake.parameters(settings), intake.new_state(), readings, samples, positions
-    )
-    return samples[:written]
 
 
 def _in_order(samples: Rows) -> Rows:

@@ -14,18 +14,22 @@ from ahrs_service.errors import ConfigError
 from ahrs_service.links.component.parameter_values import PX4
 from ahrs_service.links.errors import ParamError
 from ahrs_service.links.logs.param_files import INT32, REAL32, ParamValue, read_param_file
-from ahrs_service.links.logs.recorded_parameters import read_recorded_parameters
+from ahrs_service.links.logs.recording_formats import READERS, read_recorded_parameters
 from ahrs_service.records import Floats
 from ahrs_service.sensor.parameters import Calibration
+from ahrs_service.settings import IntakeSettings
 
 _CALIBRATING: Final = ("INS_ACC", "INS_GYR", "INS_TCAL", "CAL_ACC", "CAL_GYRO", "TC_")
 
 
-def parameters_of(path: Path, say: Callable[[str], None]) -> dict[str, float]:
-    """Return the parameters in a .param file or a recording; `say` receives oddities."""
-    if path.suffix.lower() not in (".tlog", ".bin", ".ulg"):
+def parameters_of(path: Path, say: Callable[[str], None], system: int = 0) -> dict[str, float]:
+    """Return the parameters in a .param file or a recording; `say` receives oddities.
+
+    Of a recording those of the first autopilot heard, or of that of `system`.
+    """
+    if path.suffix.lower() not in READERS:
         return parameter_change.values_of(read_param_file(path))
-    recorded = read_recorded_parameters(path)
+    recorded = read_recorded_parameters(path, IntakeSettings(system=system))
     if not recorded.values:
         raise ParamError(f"{path}: carries no parameters; give the autopilot's .param file")
     for note in recorded.notes:
@@ -53,7 +57,9 @@ def exports_of(
     say: Callable[[str], None],
 ) -> dict[int, Export]:
     """Return the parameters of each IMU; `current` those of the autopilot, as far as known."""
-    under = {} if args.compensated_by is None else parameters_of(args.compensated_by, say)
+    under = (
+        {} if args.compensated_by is None else parameters_of(args.compensated_by, say, args.system)
+    )
     known = {**under, **current}
     at = (args.offsets_at, None if args.works_at is None else tuple(args.works_at))
     exports = {}

@@ -68,7 +68,8 @@ def run(args: argparse.Namespace) -> int:
     if args.link is not None:
         parameters, origin, unit = asyncio.run(_over_link(args, out))
     else:
-        parameters, origin = parameters_of(args.source, speaker(out)), args.source.name
+        parameters = parameters_of(args.source, speaker(out), args.system)
+        origin = args.source.name
         digest = hashlib.sha256(args.source.read_bytes()).hexdigest()
         recording = SourceRecording(args.source.name, digest, "parameters")
         provenance = replace(provenance, recordings=(recording,))

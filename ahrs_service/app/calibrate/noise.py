@@ -15,6 +15,7 @@ Examples:
 """
 
 import argparse
+import dataclasses
 import json
 import math
 from functools import partial
@@ -25,17 +26,19 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ahrs_service.app import options
+from ahrs_service.app import intake_choice, options
 from ahrs_service.app.calibrate import capture, session
 from ahrs_service.app.calibrate.allan import longest_still
-from ahrs_service.app.replay.replay_log import replay_log
+from ahrs_service.app.replay.replay_log import replay_recording
 from ahrs_service.calibration.allan import overlapping_deviation, random_walk_at
 from ahrs_service.calibration.columns import AXES, ImuColumns
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.guide import guide_recording
 from ahrs_service.calibration.noise import GateNoise, gate_noise
 from ahrs_service.errors import ConfigError
+from ahrs_service.links.logs.recording_formats import read_recording
 from ahrs_service.records import Rows
+from ahrs_service.settings import IntakeSettings, Settings
 
 EXIT_DONE: Final = 0
 _SECONDS: Final = 120.0
@@ -70,10 +73,11 @@ def show(captures: list[capture.Capture], arguments: argparse.Namespace) -> int:
     if len(captures) > 1 and (arguments.begin or arguments.end):
         raise ConfigError("--from and --to are of one recording: give one")
     settings = options.settings_of(arguments) if options.has_settings(arguments) else None
+    asked = intake_choice.asked_intake(arguments)
     console = Console(stderr=bool(arguments.json))
     plain = []
     for one in captures:
-        estimates = replay_log(one.path, settings).estimates
+        estimates = _replayed(one, settings, asked)
         found = gate_noise(estimates, _chosen(estimates, arguments))
         densities = noise_densities(one.columns)
         console.print(Text(f"{one.path.name}: {found.steady_s:.0f} s of steady motion"))
@@ -84,6 +88,18 @@ def show(captures: list[capture.Capture], arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(plain))
     return EXIT_DONE
+
+
+def _replayed(
+    one: capture.Capture, settings: Settings | None, asked: IntakeSettings | None
+) -> Rows:
+    """Return the estimates of a recording, of the vehicle and IMU asked for."""
+    recording = one.recording or read_recording(one.path)
+    if asked is not None:
+        advice = "give --set or --config"
+        below = settings or intake_choice.recorded_settings(recording, advice) or Settings()
+        settings = dataclasses.replace(below, intake=asked)
+    return replay_recording(recording, settings).estimates
 
 
 def _chosen(estimates: Rows, arguments: argparse.Namespace) -> Any:

@@ -22,6 +22,7 @@ from typing import Final
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from ahrs_service.app import intake_choice
 from ahrs_service.app.calibrate import capture, outcome, poses
 from ahrs_service.calibration.columns import check_saturation
 from ahrs_service.calibration.rate_table import (
@@ -57,14 +58,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rates", metavar="DEG_S,...", help="rates that the table was set to, as -100,100,200"
     )
-    parser.add_argument("--imu", default="auto", metavar="MESSAGE", help="the IMU message, or auto")
-    parser.set_defaults(temperature="imu")
+    intake_choice.add_arguments(parser)
     outcome.add_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Calibrate from the recordings of all mountings; return the exit code."""
-    settings = capture.intake_of(arguments)
+    asked = intake_choice.asked_intake(arguments)
     axes, captures, encoders = [], [], []
     for parts in arguments.runs:
         if len(parts) != (2 if arguments.rates else 3):
@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
                 "AXIS RECORDING ENCODER.csv without"
             )
         axes.append(_axis(parts[0]))
-        captures.append(capture.read_capture(Path(parts[1]), settings))
+        captures.append(capture.read_capture(Path(parts[1]), asked))
         capture.check_rate(captures[-1], poses.LEAST_ROTATION_HZ, "following the table")
         check_saturation(captures[-1].columns)
         encoders += parts[2:]

@@ -28,10 +28,10 @@ from rich.text import Text
 from ahrs_service.app.calibrate.capture import (
     Capture,
     columns_of,
-    intake_of,
     read_capture,
     read_captures,
 )
+from ahrs_service.app.intake_choice import asked_intake
 from ahrs_service.app.live.daemon import Daemon
 from ahrs_service.app.options import positive
 from ahrs_service.calibration.columns import ImuColumns
@@ -67,17 +67,17 @@ def run(arguments: argparse.Namespace, guide: Guide, calibrate: Calibrate) -> in
     """Calibrate from the recordings named, or from those and a guided session."""
     if not arguments.link:
         return calibrate(read_captures(arguments), arguments)
-    intake = intake_of(arguments)
+    asked = asked_intake(arguments)
     path = arguments.record or Path(time.strftime(f"{arguments.procedure}-%Y%m%d-%H%M%S.tlog"))
     if path.suffix != ".tlog" or path.exists():
         raise ConfigError(f"--record {path}: give a new file that ends in .tlog")
-    before = [read_capture(one, intake) for one in arguments.recordings]
-    session = Session(arguments.link, path, arguments.rate, intake, guide)
+    before = [read_capture(one, asked) for one in arguments.recordings]
+    session = Session(arguments.link, path, arguments.rate, asked or IntakeSettings(), guide)
     done = asyncio.run(session.run())
     if not done:
         _tell_interrupted(path, arguments)
         return EXIT_INTERRUPTED
-    return calibrate([*before, read_capture(path, intake)], arguments)
+    return calibrate([*before, read_capture(path, asked)], arguments)
 
 
 def _tell_interrupted(path: Path, arguments: argparse.Namespace) -> None:

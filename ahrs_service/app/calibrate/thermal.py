@@ -33,6 +33,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from ahrs_service.app import intake_choice
 from ahrs_service.app.calibrate import capture, outcome, poses, session
 from ahrs_service.app.files import calibration_file
 from ahrs_service.app.options import positive
@@ -74,8 +75,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.link or not arguments.recordings:
         guide = partial(guide_thermal, wanted_degc=arguments.span)
         return session.run(arguments, guide, calibrate)
-    settings = capture.intake_of(arguments)
-    captures = [one for path in arguments.recordings for one in power_ons(path, settings)]
+    asked = intake_choice.asked_intake(arguments)
+    captures = [one for path in arguments.recordings for one in power_ons(path, asked)]
     return calibrate(captures, arguments)
 
 
@@ -103,16 +104,16 @@ def calibrate(captures: list[capture.Capture], arguments: argparse.Namespace) ->
     return outcome.EXIT_REFUSED if result.verdict.is_refused else outcome.EXIT_DONE
 
 
-def power_ons(path: Path, settings: IntakeSettings) -> list[capture.Capture]:
+def power_ons(path: Path, asked: IntakeSettings | None = None) -> list[capture.Capture]:
     """Return the captures of a recording, one for each power-on: there its clock jumps back."""
     recording = read_recording(path)
     readings = recording.readings
     back = np.diff(readings["received_ns"]) < -_BACK_NS
     if not back.any():
-        return [capture.capture_of(recording, readings, settings)]
+        return [capture.capture_of(recording, readings, asked)]
     parts = np.split(readings, np.flatnonzero(back) + 1)
     held = [part for part in parts if np.count_nonzero(part["kind"] == Kind.IMU) > 1]
-    return [capture.capture_of(recording, part, settings) for part in held]
+    return [capture.capture_of(recording, part, asked) for part in held]
 
 
 def _with_origin(

@@ -22,6 +22,7 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
+from ahrs_service.app import intake_choice
 from ahrs_service.app.diagnose import diagnosis_text as text
 from ahrs_service.app.diagnose.diagnosis_page import most_telling, page
 from ahrs_service.app.diagnose.diagnosis_terminal import summary
@@ -36,6 +37,7 @@ from ahrs_service.effects.catalogue import effect_of
 from ahrs_service.links.errors import RecordingError
 from ahrs_service.links.logs.recording_formats import KNOWN
 from ahrs_service.records import Floats
+from ahrs_service.settings import IntakeSettings
 from ahrs_service.simulation.imu import Imu
 
 EXIT_DONE: Final = 0
@@ -53,7 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--against",
         type=Path,
         metavar="SIM.tlog",
-        help="diagnose this recording too and say what the first has that this one lacks",
+        help="diagnose this recording too, of the first vehicle in it, and say what the first "
+        "recording has that this one lacks",
     )
     parser.add_argument(
         "--truth",
@@ -61,6 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="TRUTH.json",
         help="what the recording is known to hold (as prove writes it): shown beside what is found",
     )
+    intake_choice.add_arguments(parser)
     parser.add_argument("--json", type=new_file, metavar="OUT", help="write the report")
     parser.add_argument("--html", type=new_file, metavar="OUT", help="write one page with pictures")
     parser.add_argument("--rrd", type=new_file, metavar="OUT", help="write for the Rerun viewer")
@@ -79,7 +83,8 @@ def run(args: argparse.Namespace) -> int:
     """Diagnose; return the exit code."""
     console, errors = Console(), Console(stderr=True, soft_wrap=True, highlight=False)
     twin = Imu() if args.twin is None else twin_file.read(args.twin)
-    diagnosis = diagnose_file(args.recording, twin, errors, args.truth)
+    asked = intake_choice.asked_intake(args)
+    diagnosis = diagnose_file(args.recording, twin, errors, args.truth, asked)
     console.print(summary(args.recording.name, diagnosis))
     against: tuple[str, Diagnosis] | None = None
     if args.against is not None:
@@ -105,11 +110,15 @@ def run(args: argparse.Namespace) -> int:
 
 
 def diagnose_file(
-    path: Path, twin: Imu, errors: Console, truth_path: Path | None = None
+    path: Path,
+    twin: Imu,
+    errors: Console,
+    truth_path: Path | None = None,
+    asked: IntakeSettings | None = None,
 ) -> Diagnosis:
     """Read and diagnose a recording, with a bar; RecordingError says why it cannot be."""
     with progress_bar(errors, path.name) as advance:
-        return diagnose(path, twin, truth_path, advance)
+        return diagnose(path, twin, truth_path, advance, asked)
 
 
 def found_effects(diagnosis: Diagnosis) -> list[tuple[Effect, Values]]:

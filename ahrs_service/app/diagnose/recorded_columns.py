@@ -8,13 +8,18 @@ from ahrs_service.app.diagnose.loaded_recording import Loaded, load
 from ahrs_service.diagnosis.input.diagnosis_input import Recorded, Series
 from ahrs_service.errors import DiagnosisError
 from ahrs_service.links.errors import RecordingError
+from ahrs_service.settings import IntakeSettings
 from ahrs_service.simulation.reference import smooth
 
 
-def read_columns(path: Path, progress: Callable[[float], None] | None = None) -> Recorded:
+def read_columns(
+    path: Path,
+    progress: Callable[[float], None] | None = None,
+    asked: IntakeSettings | None = None,
+) -> Recorded:
     """Read the columns of a recording; RecordingError says what is missing."""
     try:
-        return with_velocity(load(path, progress))
+        return with_velocity(load(path, progress, asked))
     except ValueError as error:
         raise RecordingError(f"{path}: {error}") from None
 

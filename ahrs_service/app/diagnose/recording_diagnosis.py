@@ -16,6 +16,7 @@ from ahrs_service.diagnosis.result import Diagnosis
 from ahrs_service.errors import RecordingError
 from ahrs_service.sensor.compensation import compensate_columns
 from ahrs_service.sensor.parameters import Calibration, coefficients
+from ahrs_service.settings import IntakeSettings
 from ahrs_service.simulation.imu import Imu
 
 Advance = Callable[[str, float], None]
@@ -29,13 +30,15 @@ def diagnose(
     twin: Imu | str | Path | None = None,
     truth: str | Path | None = None,
     advance: Advance | None = None,
+    intake: IntakeSettings | None = None,
 ) -> Diagnosis:
     """Compare a recording with its twin: where they differ, what physics was left out, how sure.
 
     `source` is a recording (.tlog, .ulg, .bin) or columns of one; `twin` the sensor as it is
     believed to be, or its file, without one an ideal sensor; `truth` a file of what the recording
     is known to hold, shown beside what is found. `advance` is called with what is being done and
-    the share done, 0 to 1. RecordingError or DiagnosisError says what is missing.
+    the share done, 0 to 1; `intake` names the vehicle and IMU of a log of several. RecordingError
+    or DiagnosisError says what is missing.
 
     >>> from ahrs_service import diagnose
     >>> diagnosis = diagnose("bench.tlog")
@@ -48,13 +51,13 @@ def diagnose(
     if isinstance(known, str | Path):
         known = twin_file.read(Path(known))
     truth_path = None if truth is None else Path(truth)
-    told = advance or _silent
+    report = advance or _silent
     if isinstance(source, Recorded):
-        return _diagnose(source, known, truth_path, told, ())
+        return _diagnose(source, known, truth_path, report, ())
     path = Path(source)
-    loaded = load(path, lambda share: told("reading", _READ * share))
+    loaded = load(path, lambda share: report("reading", _READ * share), intake)
     try:
-        return _diagnose(with_velocity(loaded), known, truth_path, told, loaded.notes)
+        return _diagnose(with_velocity(loaded), known, truth_path, report, loaded.notes)
     except ValueError as error:
         # Some of these name the recording, but not the folder that it is in.
         why = str(error).removeprefix(f"{path.name}: ")
@@ -62,12 +65,12 @@ def diagnose(
 
 
 def _diagnose(
-    recorded: Recorded, twin: Imu, truth_path: Path | None, told: Advance, notes: tuple[str, ...]
+    recorded: Recorded, twin: Imu, truth_path: Path | None, report: Advance, notes: tuple[str, ...]
 ) -> Diagnosis:
     columns = without_effects(compensated(recorded, twin.calibration), twin.effects)
     truth = None if truth_path is None else truth_file.read(truth_path, columns)
     diagnosis = diagnose_columns(
-        columns, lambda share: told("searching", _READ + (1.0 - _READ) * share), truth
+        columns, lambda share: report("searching", _READ + (1.0 - _READ) * share), truth
     )
     notes = (*notes, *diagnosis.notes)
     if diagnosis.oracle and diagnosis.oracle.oracle["gyro"].log_likelihood_gain < 0.0:

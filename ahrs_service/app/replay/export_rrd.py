@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from ahrs_service.adoption import of_vehicle
 from ahrs_service.app.replay.replay_log import ReplayResult
 from ahrs_service.fusion.gating import in_force
 from ahrs_service.records import Floats, ImuSource, Integers, Kind, Rows
@@ -25,8 +26,9 @@ def write_recording(path: Path, result: ReplayResult) -> None:
     start_ns = int(result.estimates["time_ns"][0])
     messages = [(start_ns, "INFO", text) for text in summary.notes]
     messages += [(start_ns, "WARN", text) for text in summary.warnings]
-    references = sorted(result.recording.references, key=lambda one: not one.is_truth)
-    by_source = list(_by_source(result.recording.readings, result.system))
+    recorded = result.recording.references_of(result.vehicle)
+    references = sorted(recorded, key=lambda one: not one.is_truth)
+    by_source = list(_by_source(of_vehicle(result.recording.readings, result.vehicle)))
     lost = {name: float(count) for name, count in summary.damaged.items()}
     write_rrd(
         path,
@@ -41,9 +43,9 @@ def write_recording(path: Path, result: ReplayResult) -> None:
     )
 
 
-def _by_source(readings: Rows, system: int) -> Iterator[tuple[ImuSource, Rows]]:
+def _by_source(readings: Rows) -> Iterator[tuple[ImuSource, Rows]]:
     """Yield the vehicle's IMU readings of each source."""
-    imu = readings[(readings["kind"] == Kind.IMU) & (readings["system"] == system)]
+    imu = readings[readings["kind"] == Kind.IMU]
     for source in np.unique(imu["source"]):
         yield ImuSource(int(source)), imu[imu["source"] == source]
 

@@ -11,10 +11,10 @@ import numpy as np
 from ahrs_service.links.component.attitude_messages import Publisher
 from ahrs_service.links.component.vehicle_trim import TRIM_NAMES
 from ahrs_service.links.logs.recording import AttitudeReference, Recording
-from ahrs_service.links.logs.tlog import TlogFile, read_tlog, tlog_record
+from ahrs_service.links.logs.tlog import TlogFile, tlog_record
+from ahrs_service.links.logs.tlog_recording import TlogLog
 from ahrs_service.links.mavlink.codec import Encoder, dialect
 from ahrs_service.links.mavlink.frames import STAMP_BYTES
-from ahrs_service.links.mavlink.readings import from_tables
 from ahrs_service.records import Integers, Kind, Phase, Rows
 from ahrs_service.rotation import euler_columns
 from ahrs_service.settings import Settings
@@ -43,11 +43,9 @@ def write_tlog(
     """
     ours = _published(estimates, settings, Encoder(system, settings.link.component))
     with path.open("wb") as file:
-        if recording.format == "tlog":
-            tlog = read_tlog(recording.path)
-            _, frame_index = from_tables(tlog)
-            behind = frame_index[positions].tolist()
-            _write_beside(file, tlog, ((behind[n], frame) for n, frame in ours))
+        if isinstance(recording.log, TlogLog):
+            behind = recording.log.frame_index[positions].tolist()
+            _write_beside(file, recording.log.tlog, ((behind[n], frame) for n, frame in ours))
             return
         stamps = estimates["time_ns"].tolist()
         for stamp_ns, frame in heapq.merge(

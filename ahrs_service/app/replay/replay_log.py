@@ -8,17 +8,17 @@ from typing import Final
 
 import numpy as np
 
+from ahrs_service.adoption import Vehicle
 from ahrs_service.app.files import calibration_file, config_file
 from ahrs_service.app.files.calibration_choice import NONE, CalibrationStore
+from ahrs_service.app.intake_choice import intake_of
 from ahrs_service.app.replay.summary import Summary, summarise
 from ahrs_service.errors import ConfigError, StateError
 from ahrs_service.estimator import Estimator
 from ahrs_service.links.errors import RecordingError
 from ahrs_service.links.logs.recording import Recording
 from ahrs_service.links.logs.recording_formats import read_recording
-from ahrs_service.links.logs.session_marks import Mark, MarkKind, read_marks
-from ahrs_service.links.logs.tlog import read_tlog
-from ahrs_service.links.mavlink.readings import from_tables
+from ahrs_service.links.logs.session_marks import Mark, MarkKind
 from ahrs_service.records import ESTIMATE_DTYPE, Integers, Kind, Rows, empty
 from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.settings import SensorSettings, Settings
@@ -33,7 +33,7 @@ _CHUNK: Final = 1 << 15
 class ReplayResult:
     """A recording and what the estimator made of it.
 
-    `estimates` [N] ESTIMATE_DTYPE, `positions` [N] the reading behind each; `system` the vehicle
+    `estimates` [N] ESTIMATE_DTYPE, `positions` [N] the reading behind each; `vehicle` the one
     adopted; `settings` those in force at the end. Where smoothing was asked for, `estimates` are
     the smoothed. `is_calibrated` whether a calibration was in use at the end.
     """
@@ -41,10 +41,15 @@ class ReplayResult:
     recording: Recording
     estimates: Rows
     positions: Integers
-    system: int
+    vehicle: Vehicle
     settings: Settings
     summary: Summary
     is_calibrated: bool
+
+    @property
+    def system(self) -> int:
+        """System number of the vehicle adopted."""
+        return self.vehicle[0]
 
 
 def replay_log(
@@ -62,14 +67,22 @@ def replay_log(
     calibrations give equal bytes, and the bytes of the live session where the recording is of one.
     ConfigError where the calibration named cannot or must not be used.
     """
+    report = advance or _silent
+    recording = read_recording(path, lambda share: report("reading", share))
+    return replay_recording(recording, settings, report, sensor, smooth)
+
+
+def replay_recording(
+    recording: Recording,
+    settings: Settings | None = None,
+    advance: Advance | None = None,
+    sensor: SensorSettings | None = None,
+    smooth: bool = False,
+) -> ReplayResult:
+    """Replay a recording that was read, as `replay_log` does."""
     told = advance or _silent
-    recording = read_recording(path, lambda share: told("reading", share))
-    calibration, origin = _calibration(recording, sensor or (settings or Settings()).sensor)
-    obeyed = {MarkKind.SETTINGS} if settings is None else set()
-    obeyed |= {MarkKind.CALIBRATION} if calibration is None else set()
-    # A state goes with the settings and the calibration under which it came to be.
-    obeyed |= {MarkKind.STATE} if len(obeyed) == 2 else set()
-    marks = [(place, mark) for place, mark in _marks(recording) if mark.kind in obeyed]
+    calibration, origin = _calibration(recording, settings, sensor)
+    marks = _obeyed(recording, settings, calibration)
     smoother = Smoother() if smooth else None
     replay = _Replay(recording, settings, marks, calibration, smoother)
     replay.calibration = origin
@@ -93,28 +106,46 @@ def replay_log(
         replay.calibration,
         smoothed,
     )
-    system = int(replay.estimator.intake_state["system"][0])
+    system, component = (int(replay.estimator.intake_state[n][0]) for n in ("system", "component"))
     if smoothed is not None:
         estimates = smoothed
     known = replay.estimator.calibration != Calibration.ideal()
-    return ReplayResult(recording, estimates, positions, system, replay.settings, summary, known)
+    return ReplayResult(
+        recording, estimates, positions, (system, component), replay.settings, summary, known
+    )
 
 
 def _silent(stage: str, share: float) -> None:
     del stage, share
 
 
-def _calibration(recording: Recording, sensor: SensorSettings) -> tuple[Calibration | None, str]:
+def _obeyed(
+    recording: Recording, settings: Settings | None, calibration: Calibration | None
+) -> list[Mark]:
+    """Return the marks that hold: of what was not given by others."""
+    obeyed = {MarkKind.SETTINGS} if settings is None else set()
+    obeyed |= {MarkKind.CALIBRATION} if calibration is None else set()
+    # A state goes with the settings and the calibration under which it came to be.
+    obeyed |= {MarkKind.STATE} if len(obeyed) == 2 else set()
+    return [mark for mark in recording.marks if mark.kind in obeyed]
+
+
+def _calibration(
+    recording: Recording, settings: Settings | None, sensor: SensorSettings | None
+) -> tuple[Calibration | None, str]:
     """Return the calibration that is asked for, and what it is; None where none is."""
+    sensor = sensor or (settings or Settings()).sensor
     if sensor.calibration == NONE:
         return Calibration.ideal(), "none, as asked"
-    shelf = CalibrationStore(sensor)
-    choice = shelf.choose(recording.unit)
+    store = CalibrationStore(sensor)
+    intake = intake_of(recording, None if settings is None else settings.intake, "give --config")
+    unit = recording.unit_of((intake.system, intake.component))
+    choice = store.choose(unit)
     if choice is None:
-        if shelf.is_folder:
-            raise RecordingError(f"{recording.path}: {shelf.refusal(recording.unit)}")
+        if store.is_folder:
+            raise RecordingError(f"{recording.path}: {store.refusal(unit)}")
         return None, "none"
-    warning = shelf.mismatch(recording.unit)
+    warning = store.mismatch(unit)
     return choice.calibration, f"{choice.text()}; {warning}" if warning else choice.text()
 
 
@@ -125,7 +156,7 @@ class _Replay:
         self,
         recording: Recording,
         settings: Settings | None,
-        marks: list[tuple[int, Mark]],
+        marks: list[Mark],
         calibration: Calibration | None,
         smoother: Smoother | None,
     ) -> None:
@@ -144,7 +175,8 @@ class _Replay:
         """Take all readings; yield the share done."""
         readings = self._recording.readings
         start = 0
-        for stop, mark in [*self._marks, (len(readings), None)]:
+        stops = [(mark.reading, mark) for mark in self._marks]
+        for stop, mark in [*stops, (len(readings), None)]:
             for first in range(start, stop, _CHUNK):
                 last = min(first + _CHUNK, stop)
                 estimates = self.estimator.take(readings[first:last])
@@ -193,17 +225,6 @@ class _Replay:
             ) from None
         self.estimator.calibrate(calibration)
         self.calibration = f"that of the recording, serial {calibration.serial or 'not known'}"
-
-
-def _marks(recording: Recording) -> list[tuple[int, Mark]]:
-    """Marks of a recording made by this service, each with the first reading it holds for."""
-    if recording.format != "tlog" or "TUNNEL" not in recording.message_counts:
-        return []
-    tlog = read_tlog(recording.path)
-    _, frame_index = from_tables(tlog)
-    marks = list(read_marks(tlog.tables))
-    places = np.searchsorted(frame_index, [mark.frame for mark in marks])
-    return list(zip(places.tolist(), marks, strict=True))
 
 
 def _no_sample(recording: Recording, settings: Settings) -> str:

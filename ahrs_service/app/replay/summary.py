@@ -83,7 +83,10 @@ def summarise(
     running = estimates["phase"] == Phase.RUNNING
     source = int(estimator.state["heading_source"][0])
     measured = source != heading.NONE
-    references = sorted(recording.references, key=lambda one: not one.is_truth)
+    system, component = (int(estimator.intake_state[n][0]) for n in ("system", "component"))
+    references = sorted(
+        recording.references_of((system, component)), key=lambda one: not one.is_truth
+    )
     reference = references[0] if references else None
     comparison, smoothed_comparison = (
         compare(rows, reference.time_ns, reference.ned_from_body, measured)

@@ -19,6 +19,7 @@ from typing import Any, Final
 from rich.console import Console
 from rich.markup import escape
 
+from ahrs_service.app import intake_choice
 from ahrs_service.app.files import toml_file, twin_file
 from ahrs_service.app.options import not_negative, positive
 from ahrs_service.app.simulate.retrace_recording import flight_along
@@ -85,6 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="RECORDING",
         help="fly along the reference of a .tlog, .bin or .ulg: its attitude and velocity",
     )
+    intake_choice.add_arguments(parser)
     parser.add_argument(
         "--twin",
         type=Path,
@@ -203,7 +205,9 @@ def _flight(args: argparse.Namespace, out: Console) -> Flight:
     """Return the flight asked for; ValueError or ConfigError where it cannot be."""
     imu = None if args.twin is None else twin_file.read(args.twin)
     if args.recording is not None:
-        flight, notes = flight_along(args.recording, imu or Imu(), args.rate, args.seed)
+        flight, notes = flight_along(
+            args.recording, imu or Imu(), args.rate, args.seed, intake_choice.asked_intake(args)
+        )
         for note in notes:
             out.print(escape(note), highlight=False, soft_wrap=True)
         return flight

@@ -10,6 +10,7 @@ from ahrs_service.attitude_interpolation import gap_limit
 from ahrs_service.diagnosis.input.diagnosis_input import Series
 from ahrs_service.links.errors import RecordingError
 from ahrs_service.records import Floats
+from ahrs_service.settings import IntakeSettings
 from ahrs_service.simulation.imu import Imu
 from ahrs_service.simulation.reference import ReferenceTrack
 from ahrs_service.simulation.retrace import Surroundings, retrace
@@ -19,12 +20,14 @@ _LARGEST_ROTATION_RAD: Final = 1.0
 _SHORTEST_S: Final = 2.0
 
 
-def flight_along(path: Path, imu: Imu, rate_hz: float, seed: int) -> tuple[Flight, tuple[str, ...]]:
+def flight_along(
+    path: Path, imu: Imu, rate_hz: float, seed: int, asked: IntakeSettings | None = None
+) -> tuple[Flight, tuple[str, ...]]:
     """Return the flight along the reference of a recording, and notes on what was taken for what.
 
     The longest piece without a gap in the reference is flown. RecordingError says why none can be.
     """
-    loaded = load(path)
+    loaded = load(path, asked=asked)
     try:
         track, notes = _track(loaded)
         begin_s, end_s = _longest_piece(track)
