@@ -18,6 +18,7 @@ from ahrs_service.sensor.prior import narrow
 from ahrs_service.settings import Settings
 
 _MIN_NODES: Final = 1024
+"""Room at the start, 123 s of a node each 0.12 s; it doubles when full: memory, not estimates."""
 
 
 @kernel
