@@ -35,7 +35,7 @@ QUIET_M_S2: Final = 0.5
 CORRELATION_S: Final = 1.0
 """for so long one way [s]."""
 QUIET_SHAKE_M_S2: Final = zero_velocity.FORCE_SIGMA_M_S2
-"""The same limit of the same variance as at rest; only the rate is free [m/s^2]."""
+"""The same limit of the same variance as at rest [m/s^2]."""
 QUIET_RATE_RAD_S: Final = 0.2
 """A choice: 11 deg/s; a lever arm of 0.5 m then adds 0.02 m/s^2 of centripetal acceleration."""
 
