@@ -12,8 +12,11 @@ from ahrs_service.rotation import inverse_columns, multiply_columns
 Mask = npt.NDArray[np.bool_]
 
 GAP_S: Final = 0.5
+"""A choice: steps up to this are bridged at any rate [s]."""
 GAP_INTERVALS: Final = 2.5
+"""A choice: one missing stamp (2 steps) and jitter are bridged, two missing (3) are not."""
 _CLOCK_BACK_S: Final = 1.0
+"""As timebase.LATE_LIMIT_S, written again: this module needs no kernels [s]."""
 
 
 def gap_limit(dt_s: Floats) -> float:

@@ -27,7 +27,9 @@ from ahrs_service.settings import IntakeSettings
 from ahrs_service.vehicle_axes import TRIM_FIELDS, new_trim, take_trim, write_axes
 
 _SOURCES: Final = 16
+"""A choice: room for origins of IMU readings, by rank."""
 _IMUS: Final = 4
+"""A choice: room for IMUs of one autopilot, each with its temperature."""
 _VELOCITIES: Final = 3
 """Origins of a velocity over ground, the best first."""
 
@@ -90,12 +92,19 @@ _IMU_CHANGED = int(Flag.IMU_CHANGED)
 _TEMPERATURE_STALE = int(Flag.TEMPERATURE_STALE)
 
 _SETTLED_COUNT = 10
+"""A choice: so many readings tell a source's interval."""
 _SILENCE_S = 0.25
+"""A choice: ten intervals of 40 Hz; slower sources have ten of their own [s]."""
 _TEMPERATURE_SILENCE_S = 10.0
+"""A choice: ten missed at 1 Hz [s]."""
 _TEMPERATURE_FROZEN_S = 30.0
+"""A choice: least time without a change, however often it changed before [s]."""
 _INTERVAL_WEIGHT = 0.05
+"""A choice: the usual interval is a mean over 20, as in fusion.timebase."""
 _VELOCITY_SILENCE_NS = 3_000_000_000
+"""A choice: above ground_velocity.VALID_NS, so the old one is let go before another begins [ns]."""
 _NEVER_NS = -(2**62)
+"""Before every stamp; half of int64, so that a difference to a stamp does not overflow [ns]."""
 
 
 def new_state() -> Rows:

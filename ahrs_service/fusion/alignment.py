@@ -37,11 +37,13 @@ TILT_SIGMA_RAD: Final = 0.5
 HEADING_SIGMA_RAD: Final = math.pi
 """Of a heading that nothing was known about [rad]."""
 MIN_SAMPLES: Final = 3
+"""A choice: a mean and a spread need more than two, however short `alignment_s` is set."""
 REST_RATE_SPREAD_RAD_S: Final = 0.02
 """A vehicle at rest shows a gyro spread below this even on a vibrating ground [rad/s]."""
 REST_RATE_RAD_S: Final = 0.15
 """Turn-on bias of a consumer MEMS gyro stays below this: 5 deg/s and some reserve [rad/s]."""
 REST_FORCE_ERROR_M_S2: Final = 0.5
+"""A choice: 51 mg, 1.3 force_scale.SIGMA of g; zero_velocity allows more, but waits for a rest."""
 REST_BIAS_SIGMA_RAD_S: Final = 0.002
 """Of a bias averaged at rest over about a second [rad/s]."""
 FLOWN_RATE_RAD_S: Final = 0.06

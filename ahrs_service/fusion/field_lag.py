@@ -32,6 +32,7 @@ LAG_FIELDS: Final = [
 LAG_SIGMA_S: Final = 0.03
 """Filters and buses of a magnetometer read 20 to 100 times a second [s]."""
 LAG_LARGEST_S: Final = 0.2
+"""A choice: four periods of the slowest, read 20 times a second; it only keeps tau bounded [s]."""
 LAG_WALK_S_RTS: Final = 2e-4
 """The beat of two clocks; 1.5 ms in a minute [s per sqrt(s)]."""
 READING_SIGMA_UT: Final = 1.0

@@ -13,6 +13,7 @@ import math
 from typing import Final
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.fusion import zero_velocity
 from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Record
 
@@ -22,18 +23,21 @@ SCALE_FIELDS: Final = [("force_scale", "f8"), ("force_scale_variance", "f8")]
 SIGMA: Final = 0.04
 """Offset of 30 mg and scale of 3 %, 1-sigma of a sensor as delivered (data sheets: 80 mg, 3 %); a
 class whose `accel_scale_error` is smaller, or whose `accel_bias_sigma_m_s2` is 0, has a better."""
-LARGEST: Final = 0.12
+LARGEST: Final = 3.0 * SIGMA
 """Three of these are no sensor's error any more."""
 WALK_SHARE_RTS: Final = 0.025
 """By which share of its sigma it moves: what is an offset looks like another scale once the vehicle
 is tilted [1/sqrt(s)]."""
 REST_M_S2: Final = 0.05
+"""A choice, with the next:"""
 QUIET_M_S2: Final = 0.5
 """What accelerates a vehicle at rest and one that is moved about without shake, [m/s^2],"""
 CORRELATION_S: Final = 1.0
 """for so long one way [s]."""
-QUIET_SHAKE_M_S2: Final = 0.2
+QUIET_SHAKE_M_S2: Final = zero_velocity.FORCE_SIGMA_M_S2
+"""The same limit of the same variance as at rest [m/s^2]."""
 QUIET_RATE_RAD_S: Final = 0.2
+"""A choice: 11 deg/s; a lever arm of 0.5 m then adds 0.02 m/s^2 of centripetal acceleration."""
 
 
 @kernel

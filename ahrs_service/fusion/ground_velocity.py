@@ -43,14 +43,19 @@ SPACING_NS: Final = 150_000_000
 """Receivers give 5 velocities a second, and filters smooth for longer: what comes sooner after
 the last shares its error."""
 VALID_NS: Final = 2_000_000_000
+"""A choice: one missed at 1 Hz; with LAG_MAX_S it stays within the 3.8 s of HISTORY [ns]."""
 WIND_SIGMA_M_S: Final = 5.0
 """Along north and along east [m/s]."""
 SIGMA_M_S: Final = 0.5
 """Of a velocity by satellites in flight, along each axis [m/s]."""
 LAG_SIGMA_S: Final = 0.15
+"""A choice: of the lag about `velocity_lag_s` [s]."""
 LAG_MAX_S: Final = 1.0
+"""A choice: what is learnt is cut here; with VALID_NS it stays within the 3.8 s of HISTORY [s]."""
 SLOPE_NS: Final = 50_000_000
+"""A choice: the slope of the velocity is taken over this; below half of a turn of 0.12 s [ns]."""
 OUTLIER_SIGMA: Final = 4.0
+"""Noise of 3 axes, 5 times a second, exceeds it once in 18 min; beyond, the weight falls."""
 TILT_SIGMA_RAD: Final = 0.15
 """With a tilt less known than that the filter is not linear enough for a velocity [rad]."""
 COURSE_SPEED_M_S: Final = 8.0
@@ -58,10 +63,12 @@ COURSE_SPEED_M_S: Final = 8.0
 COURSE_SIGMA_RAD: Final = 0.35
 """about: a wind of 5 m/s across 14 m/s [rad]."""
 MATCH_SPAN_S: Final = 3.0
+"""A choice: over a longer gap between two velocities no change is compared [s]."""
 MATCH_APART_S: Final = 0.8
 """Changes are those over about a second, whatever the receiver's rate: an acceleration of 1 m/s^2
 is lost in its noise from one of five fixes a second to the next."""
 MATCH_FORGET_S: Final = 60.0
+"""A choice: over this the changes compared fade [s]."""
 MATCH_ENOUGH_M2_S2: Final = 60.0
 """Sum of the squared changes of velocity from which a heading is found [m^2/s^2],"""
 MATCH_KNOWN_RAD: Final = 0.1
@@ -69,16 +76,20 @@ MATCH_KNOWN_RAD: Final = 0.1
 MATCH_SIGMA_RAD: Final = 0.3
 """taken for three times that: what is late turns the changes of a manoeuvre alike [rad]."""
 MATCH_COUNT: Final = 4.0
+"""A choice, with the next; MATCH_APART_S makes it 3.2 s at least."""
 MATCH_LEFT_M_S: Final = 2.0
 """A velocity whose changes are not ours to this is not used, after so many of them [m/s]."""
 COMPASS_RAD: Final = 0.5
 """Where the velocity tells another heading than the compass, it is not used either [rad]."""
 PULLED_RAD: Final = 0.3
+"""A choice: 17 deg are added to the tilt of a filter that lost its heading [rad]."""
 SURPRISE_LIMIT: Final = 8.0
 """Mean square of the innovation in its variances beyond which the heading must be wrong: within
 bounds it is 1, and a single outlier cannot bring it here."""
 SURPRISE_WEIGHT: Final = 0.05
+"""A choice: a mean over 20 velocities, 4 s at 5 Hz;"""
 SURPRISE_MAX: Final = 50.0
+"""a choice: from 1, four of these in a row pass SURPRISE_LIMIT (3.5, 5.8, 7.99, 10.1)."""
 
 _FIXED_WING = int(Airframe.FIXED_WING)
 

@@ -35,12 +35,15 @@ WINDOW_S: Final = 1.5
 IRON_SIGMA_UT: Final = 2.0
 """What calibration leaves [uT]."""
 IRON_LARGEST_UT: Final = 50.0
+"""A choice: keeps the covariance bounded; about the Earth's field itself (22 to 67 uT) [uT]."""
 IRON_WALK_UT_RTS: Final = 0.3
 """Currents and loads change; 2.5 uT in a minute [uT/sqrt(s)]."""
 FIELD_CHANGE_UT: Final = 1.0
 """By which the field of a building differs between neighbouring places [uT]."""
 MISFIT_S: Final = 5.0
+"""A choice: both misfits are averaged over about three WINDOW_S [s]."""
 MISFIT_SHARE: Final = 0.5
+"""A choice, with the next: 0.5 of misfit^2 is 0.7 of the misfit."""
 MISFIT_FLOOR_UT2: Final = 1.0
 """b is used where misfit^2 without it is below this share of that with it, by 1 uT^2 at least."""
 

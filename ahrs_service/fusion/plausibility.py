@@ -12,6 +12,7 @@ _SPIKE = int(Flag.SPIKE)
 _SATURATED = int(Flag.SATURATED)
 
 IMPOSSIBLE_RATE_RAD_S: Final = 1000.0
+"""14 times the 4000 deg/s of the widest MEMS range [rad/s]."""
 IMPOSSIBLE_FORCE_M_S2: Final = 1e4
 """No sensor measures this; NaN and infinity are not below it either."""
 SPIKE_RATE_RAD_S: Final = 10.0
@@ -21,6 +22,7 @@ STUCK_SAMPLES: Final = 10
 """An axis that shows the very same number so often while another one moves is stuck: at rest coarse
 readings of BROAD do so up to 11 times, in turns up to 4."""
 TURNING_RAD_S: Final = 0.2
+"""A choice: 11 deg/s, above the 0.15 rad/s that a turn-on bias reaches (alignment) [rad/s]."""
 
 PLAUSIBILITY_FIELDS: Final = [
     ("spikes", "i8"),

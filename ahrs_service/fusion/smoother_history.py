@@ -14,7 +14,9 @@ from ahrs_service.kernel import kernel
 from ahrs_service.records import Record
 
 NONE: Final = 0
+"""See CHAINED."""
 START: Final = 1
+"""See CHAINED."""
 CHAINED: Final = 2
 """Kinds of a node: nothing, the first of a chain, one that follows the node before it."""
 

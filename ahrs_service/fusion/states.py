@@ -16,7 +16,8 @@ WIND: Final = 21
 """North, east [m/s]."""
 LAG: Final = 23
 """How late a measured velocity is [s]."""
-ERROR_STATES: Final = 24
+ERROR_STATES: Final = LAG + 1
+"""The lag is the last of them."""
 
 GATED: Final = GYRO_BIAS + 3
 """How many of them the gated filter has,"""

@@ -7,7 +7,9 @@ from ahrs_service.records import Floats
 from ahrs_service.rotation import from_rotation_vector, keep_normal, multiply
 
 SIXTH: Final = 1.0 / 6.0
+"""Coefficients of the integrals, see below."""
 TWELFTH: Final = 1.0 / 12.0
+"""See below."""
 THIRTIETH: Final = 1.0 / 30.0
 """A product is several times as fast as a division."""
 

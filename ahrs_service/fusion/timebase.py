@@ -41,7 +41,9 @@ LOW_RATE_INTERVAL_S: Final = 0.05
 UNKNOWN_GAP_S: Final = 60.0
 """Stands for a gap whose length nothing tells [s]."""
 _INTERVAL_WEIGHT = 0.05
+"""A choice: the usual step is a mean over 20, as in the intake."""
 _GAP_INTERVALS = 5.0
+"""A choice: where five usual steps are longer than `gap_s`, they are what makes a gap."""
 
 
 @kernel

@@ -38,9 +38,11 @@ not move; one that flies fast does."""
 TRIM_CORRELATION_S: Final = 60.0
 """What the bounds are wrong by, trim and mounting, stays; beside a measured velocity it shows."""
 AIRSPEED_SIGMA_M_S: Final = 2.0
+"""A choice, with the next [m/s], [s]:"""
 AIRSPEED_CORRELATION_S: Final = 20.0
 """Position and scale error of a pitot tube on a small UAV, which stay over a manoeuvre."""
 AIRSPEED_VALID_NS: Final = 1_000_000_000
+"""A choice: an older airspeed is not used [ns]."""
 AIRSPEED_MIN_M_S: Final = 3.0
 """A pitot tube shows nothing below this [m/s]."""
 

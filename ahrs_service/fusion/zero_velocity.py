@@ -21,28 +21,37 @@ REST_FIELDS: Final = [
 """Fields of the pipeline's state that this module keeps."""
 
 AVERAGE_S: Final = 0.5
+"""A choice: memory of the means and variances of rate and force [s]."""
 CONFIRM_S: Final = 1.0
+"""A choice: two AVERAGE_S, by when a spread of before is forgotten to 0.14 (e^-2) [s]."""
 FORCE_SIGMA_M_S2: Final = 0.2
 """An idle engine or a hand on the wing shake more than this [m/s^2]."""
 RATE_RAD_S: Final = 0.1
+"""A choice: 6 deg/s, freed of bias; alignment.REST_RATE_RAD_S has the bias still in it."""
 FORCE_ERROR_M_S2: Final = 1.2
-"""More no accelerometer is wrong by (force_scale.LARGEST) [m/s^2]."""
+"""More no accelerometer is wrong by: force_scale.LARGEST of g, 1.18, rounded up [m/s^2]."""
 MOVING_AIRSPEED_M_S: Final = 6.0
 """Gusts on a pitot tube of a standing vehicle stay below this [m/s]."""
 MOVING_SPEED_M_S: Final = 2.0
 """And the noise of a velocity by satellites below this [m/s]."""
 MOVING_SIGMA: Final = 3.0
+"""Noise exceeds it in 0.27 % of cases, each axis [1]."""
 BRAKING_M_S2: Final = 0.1
 """What an accelerometer and a floor may show of a tilt that was not there in motion [m/s^2]."""
 STILL_S: Final = 20.0
 """Nothing flies so long without a shake, whatever velocity is thought [s]."""
 VELOCITY_SIGMA_M_S: Final = 0.1
+"""A choice, with the next: how far from 0 a shaken vehicle at rest moves [m/s],"""
 VELOCITY_CORRELATION_S: Final = 0.1
+"""for so long one way; as propagation.REST_FORCE_CORRELATION_S [s]."""
 FORCE_FLOOR_M_S2: Final = 0.02
+"""A choice: 2 mg, 0.12 deg of tilt, however quiet it is [m/s^2]."""
 FORCE_CORRELATION_S: Final = 0.4
 """The averaged force forgets over this [s]."""
 RATE_CORRELATION_S: Final = 0.2
+"""A choice, below AVERAGE_S, over which the mean rate forgets [s]."""
 BIAS_GATE: Final = 3.0
+"""Noise exceeds it in 0.27 % of cases; not MOVING_SIGMA: one judges motion, one a bias."""
 BIAS_FLOOR_RAD_S: Final = 0.01
 """A bias may step by this between power-on and flight and is still learnt [rad/s]."""
 START_DOUBT_M2_S4: Final = 7.4 * FORCE_SIGMA_M_S2**2
