@@ -1,4 +1,4 @@
-"""The filter's errors and its update once more, in dense matrices: what the kernels must agree with.
+"""The filter's errors and its update once more, in dense matrices, for the kernels to agree with.
 
 Nothing here calls the filter. `moved` leads from an estimate to the truth that is an error away, so
 each row of a measurement and each column of a transition follows by a finite difference.

@@ -30,9 +30,7 @@ UP_52 = 5.7462650e-5
     ],
 )
 def test_the_rate_of_the_earth_at_52_deg_north(stands, ned_from_body, expected):
-    found = on_own_triad(
-        "gyro_earth_rate", columns(ned_from_body=ned_from_body), latitude_deg=52.0
-    )
+    found = on_own_triad("gyro_earth_rate", columns(ned_from_body=ned_from_body), latitude_deg=52.0)
     np.testing.assert_allclose(found, [expected], rtol=1e-7, atol=1e-18, err_msg=stands)
 
 

@@ -5,26 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from ahrs_service import pipeline
 from ahrs_service.fusion import mekf, propagation
 from ahrs_service.fusion.states import ACCEL_BIAS, ERROR_STATES, GYRO_BIAS, VELOCITY, WIND
-from ahrs_service.records import Airframe, Flag
-from ahrs_service.settings import Settings
+from ahrs_service.records import Flag
 from tests.error_state import attitude, flying, matrix_of, stand
+from tests.standing import WING, G, settings_of
 
-G = 9.80665
-WING = int(Airframe.FIXED_WING)
 TURN_S = 0.12
-
-
-def settings_of(**given):
-    settings = pipeline.parameters(Settings())[0]
-    for name, value in given.items():
-        if settings[name].shape:
-            settings[name][:] = value
-        else:
-            settings[name] = value
-    return settings
 
 
 def level(rotvec=(0.0, 0.0, 0.0)):
@@ -203,7 +190,7 @@ def test_an_axis_not_known_widens_the_angle_about_where_it_points():
 
 
 def test_an_attitude_that_is_not_known_at_all_stays_so():
-    """Beyond pi^2 the row shrinks by the root, so what it shares with others stays in proportion."""
+    """Beyond pi^2 the row shrinks by the root; what it shares with others stays in proportion."""
     state = level()
     p = state["covariance"]
     p[2, 2], p[2, 7], p[7, 2], p[7, 7] = 4.0 * math.pi**2, 6.0, 6.0, 8.0
@@ -219,5 +206,3 @@ def test_the_larger_principal_variance_of_a_tilt_does_not_depend_on_where_north_
         p = np.zeros((3, 3))
         p[:2, :2] = turn @ np.diag([0.09, 0.01]) @ turn.T
         assert mekf.tilt_variance(p) == pytest.approx(0.09)
-
-

@@ -136,12 +136,13 @@ def test_changes_are_forgotten_over_a_minute():
     assert state["match"][1] == pytest.approx(kept * 3.0)
 
 
-@pytest.mark.parametrize(("north", "east", "yaw"), [(0.0, 15.0, math.pi / 2), (-9.0, -9.0, -2.35619)])
+@pytest.mark.parametrize(
+    ("north", "east", "yaw"), [(0.0, 15.0, 0.5 * math.pi), (-9.0, -9.0, -0.75 * math.pi)]
+)
 def test_a_fixed_wing_points_about_where_it_flies(north, east, yaw):
     state = unknown_heading()
-    steady = np.array([north, east])
-    at_s = flown(state, 20.0, lambda _: np.array([12.0, 0.0]), lambda _: steady, Airframe.FIXED_WING)
-    # _match takes the first for a beginning: four changes make five seconds.
+    ours, measured = np.array([12.0, 0.0]), np.array([north, east])
+    at_s = flown(state, 20.0, lambda _: ours, lambda _: measured, Airframe.FIXED_WING)
     assert at_s is not None
     found = math.atan2(state["dcm"][1, 0], state["dcm"][0, 0])
     assert math.remainder(found - yaw, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-4)

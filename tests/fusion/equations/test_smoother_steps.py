@@ -171,6 +171,31 @@ def test_between_two_nodes_the_way_goes_evenly_from_the_earlier_on():
     np.testing.assert_array_equal(rows["gyro_bias_rad_s"][[0, 4], 2], 0.03)
 
 
+def test_what_came_late_at_a_node_comes_before_what_later_nodes_found():
+    """Nothing moves and no noise comes, so all of what the second node found holds at the first.
+
+    There half a radian about down came late: the smoothed attitude has that first, then 0.6 about
+    north. Half way between the nodes lies half of the way from one to the other.
+    """
+    nodes, rows = np.zeros(3, NODE_DTYPE), empty(ESTIMATE_DTYPE, 3)
+    rows[:] = a_row()
+    rows["time_ns"] = np.arange(3) * 10_000_000
+    for number, kind, sample in ((1, START, 0), (2, CHAINED, 2)):
+        node = nodes[number]
+        node["kind"], node["sample"], node["variance"] = kind, sample, 1.0
+        node["states"] = node["states_before"] = AIDED
+        node["covariance"] = np.eye(ERROR_STATES)[LOWER]
+    nodes[1]["late"], nodes[2]["applied"] = correction(angle=(0, 0, 0.5)), correction(angle=(0.6,))
+    smoother.smooth(nodes, 3, rows)
+    about_down, about_north = (Rotation.from_rotvec(v) for v in ((0.0, 0.0, 0.5), (0.6, 0.0, 0.0)))
+    was = Rotation.from_quat(np.roll(a_row()["ned_from_body"], -1))
+    at_node = about_north * about_down
+    between = 0.5 * (at_node.as_rotvec() + about_north.as_rotvec())
+    for n, turn in enumerate((at_node, Rotation.from_rotvec(between), Rotation.identity())):
+        found = Rotation.from_quat(np.roll(rows["ned_from_body"][n], -1))
+        np.testing.assert_allclose((found * (turn * was).inv()).as_rotvec(), 0.0, atol=1e-9)
+
+
 def test_what_the_heading_has_beyond_the_filter_is_where_the_field_points():
     node = a_node()
     covariance = np.diag(np.arange(1.0, 25.0) * 1e-3)
@@ -182,7 +207,7 @@ def test_what_the_heading_has_beyond_the_filter_is_where_the_field_points():
 
 
 def test_noise_adds_and_a_bound_scales():
-    """A variance beyond that predicted was noise; one below was held: its row shrinks by the root."""
+    """A variance beyond that predicted was noise; one below was held: the row shrinks."""
     predicted = np.array([[4.0, 1.0], [1.0, 9.0]])
     gain = np.array([[2.0, 6.0], [3.0, 5.0]])
     smoother._add_noise(predicted, gain, 2, np.array([1.0, 10.0]))
