@@ -171,12 +171,8 @@ def test_between_two_nodes_the_way_goes_evenly_from_the_earlier_on():
     np.testing.assert_array_equal(rows["gyro_bias_rad_s"][[0, 4], 2], 0.03)
 
 
-def test_what_came_late_at_a_node_comes_before_what_later_nodes_found():
-    """Nothing moves and no noise comes, so all of what the second node found holds at the first.
-
-    There half a radian about down came late: the smoothed attitude has that first, then 0.6 about
-    north. Half way between the nodes lies half of the way from one to the other.
-    """
+def two_nodes(**second):
+    """Three rows alike, nodes at the first and the last; nothing moves between, no noise comes."""
     nodes, rows = np.zeros(3, NODE_DTYPE), empty(ESTIMATE_DTYPE, 3)
     rows[:] = a_row()
     rows["time_ns"] = np.arange(3) * 10_000_000
@@ -185,15 +181,40 @@ def test_what_came_late_at_a_node_comes_before_what_later_nodes_found():
         node["kind"], node["sample"], node["variance"] = kind, sample, 1.0
         node["states"] = node["states_before"] = AIDED
         node["covariance"] = np.eye(ERROR_STATES)[LOWER]
-    nodes[1]["late"], nodes[2]["applied"] = correction(angle=(0, 0, 0.5)), correction(angle=(0.6,))
-    smoother.smooth(nodes, 3, rows)
-    about_down, about_north = (Rotation.from_rotvec(v) for v in ((0.0, 0.0, 0.5), (0.6, 0.0, 0.0)))
+    for name, value in second.items():
+        nodes[2][name] = value
+    return nodes, rows
+
+
+def assert_turned(rows, turns):
+    """Each row is that of `a_row`, turned about earth axes."""
     was = Rotation.from_quat(np.roll(a_row()["ned_from_body"], -1))
-    at_node = about_north * about_down
-    between = 0.5 * (at_node.as_rotvec() + about_north.as_rotvec())
-    for n, turn in enumerate((at_node, Rotation.from_rotvec(between), Rotation.identity())):
-        found = Rotation.from_quat(np.roll(rows["ned_from_body"][n], -1))
+    for row, turn in zip(rows, turns, strict=True):
+        found = Rotation.from_quat(np.roll(row["ned_from_body"], -1))
         np.testing.assert_allclose((found * (turn * was).inv()).as_rotvec(), 0.0, atol=1e-9)
+
+
+def test_what_came_late_at_a_node_comes_before_what_later_nodes_found():
+    """All of what the second node found holds at the first.
+
+    There half a radian about down came late: the smoothed attitude has that first, then 0.6 about
+    north. Half way between the nodes lies half of the way from one to the other.
+    """
+    nodes, rows = two_nodes(applied=correction(angle=(0.6,)))
+    nodes[1]["late"] = correction(angle=(0.0, 0.0, 0.5))
+    smoother.smooth(nodes, 3, rows)
+    about_north = Rotation.from_rotvec([0.6, 0.0, 0.0])
+    at_node = about_north * Rotation.from_rotvec([0.0, 0.0, 0.5])
+    between = Rotation.from_rotvec(0.5 * (at_node.as_rotvec() + about_north.as_rotvec()))
+    assert_turned(rows, [at_node, between, Rotation.identity()])
+
+
+def test_before_a_heading_was_found_all_is_turned_to_it():
+    """By 0.7 rad to the right, up to the sample before the one at which it was found."""
+    nodes, rows = two_nodes(turned_rad=0.7)
+    smoother.smooth(nodes, 3, rows)
+    right = Rotation.from_rotvec([0.0, 0.0, 0.7])
+    assert_turned(rows, [right, right, Rotation.identity()])
 
 
 def test_what_the_heading_has_beyond_the_filter_is_where_the_field_points():
