@@ -209,6 +209,19 @@ def test_what_came_late_at_a_node_comes_before_what_later_nodes_found():
     assert_turned(rows, [at_node, between, Rotation.identity()])
 
 
+def test_the_way_back_by_hand():
+    """P 2, with noise 3 at the next node, where the measurement leaves 1: C = 2 / 3.
+
+    The correction of 0.03 there is 0.02 here, and 2 + (1 - 3) * 4 / 9 = 10 / 9 is left.
+    """
+    nodes, rows = two_nodes(applied=correction(bias=(0.03, 0.0, 0.0)), variance=3.0)
+    nodes[1]["covariance"] = 2.0 * np.eye(ERROR_STATES)[LOWER]
+    smoother.smooth(nodes, 3, rows)
+    np.testing.assert_allclose(rows["gyro_bias_rad_s"][:, 0], 0.01 + np.array([0.02, 0.025, 0.0]))
+    # Half way between the nodes half way from 10 / 9 to what is left there, before it is used: 1.
+    np.testing.assert_allclose(rows["gyro_bias_sigma_rad_s"][:, 0] ** 2, [10 / 9, 19 / 18, 1.0])
+
+
 def test_before_a_heading_was_found_all_is_turned_to_it():
     """By 0.7 rad to the right, up to the sample before the one at which it was found."""
     nodes, rows = two_nodes(turned_rad=0.7)

@@ -19,14 +19,19 @@ ACCEL = np.array([[1.5, -2.0, -9.0]]) + np.outer(np.arange(COUNT + 1), [0.02, 0.
 
 def fly(state, gyro_sample):
     """Fly on for less than a turn of the filter, from readings that went on before."""
+    return flown(state, gyro_sample)[0]
+
+
+def flown(state, gyro_sample):
+    """The state after the flight, and the estimates of it."""
     state = state.copy()
-    gyro, accel = GYRO[0], ACCEL[0] - state["accel_bias_m_s2"]
+    gyro, accel = GYRO[0], ACCEL[0] * state["force_scale"] - state["accel_bias_m_s2"]
     rate = gyro - state["gyro_bias_rad_s"] - state["gyro_matrix"] @ gyro
     state["rate_rad_s"] = state["rate_before_rad_s"] = rate
     state["accel_before_m_s2"] = accel
     state["force_before_ned_m_s2"] = state["dcm"] @ accel
     state["samples"], state["time_ns"], state["interval_s"] = 100, STARTED_NS, STEP_S
-    state["interval_before_s"], state["force_scale"] = STEP_S, 1.0
+    state["interval_before_s"] = STEP_S
     samples = empty(SAMPLE_DTYPE, COUNT)
     samples["time_ns"] = STARTED_NS + np.arange(1, COUNT + 1) * round(STEP_S * 1e9)
     samples["gyro_rad_s"], samples["accel_m_s2"] = GYRO[1:], ACCEL[1:]
@@ -34,7 +39,7 @@ def fly(state, gyro_sample):
     rows = np.array([state])
     estimates = empty(ESTIMATE_DTYPE, COUNT)
     pipeline.batch(pipeline.parameters(settings), IDEAL, rows, samples, estimates)
-    return rows[0]
+    return rows[0], estimates
 
 
 @pytest.mark.parametrize("gyro_sample", ["instant", "mean"])
@@ -45,6 +50,7 @@ def test_two_states_fly_apart_as_the_transition_says(gyro_sample):
     force, which is velocity of g t^2 / 2, 12 mm/s per rad/s.
     """
     start = flying(7)
+    start["force_scale"] = 1.0
     end = fly(start, gyro_sample)
     turn_s = COUNT * STEP_S
     assert end["turn_s"] == pytest.approx(turn_s)
@@ -65,6 +71,25 @@ def test_two_states_fly_apart_as_the_transition_says(gyro_sample):
             found[states.VELOCITY : states.ACCEL_BIAS] = 0.0
         largest = np.abs(transition[:, n] - np.eye(states.ERROR_STATES)[:, n]).max()
         np.testing.assert_allclose(found, transition[:, n], atol=0.03 * largest + 1e-4, err_msg=n)
+
+
+def test_what_is_known_of_the_sensors_is_taken_off_the_readings():
+    """Rate: w - b - M w; force: scale f - bias. What is left of that without gravity, C' (0, 0, g).
+
+    The innovation of the tilt about north and east stands in body axes.
+    """
+    start = flying(8)
+    start["force_scale"], start["tilt_innovation_rad"] = 1.05, (0.03, -0.01)
+    end, estimates = flown(start, "instant")
+    row = estimates[-1]
+    np.testing.assert_allclose(
+        row["rate_rad_s"], GYRO[-1] - start["gyro_bias_rad_s"] - start["gyro_matrix"] @ GYRO[-1]
+    )
+    force = 1.05 * ACCEL[-1] - start["accel_bias_m_s2"]
+    np.testing.assert_allclose(row["accel_m_s2"], force)
+    body_from_ned = end["dcm"].T
+    np.testing.assert_allclose(row["residual_m_s2"], force + body_from_ned @ [0.0, 0.0, 9.80665])
+    np.testing.assert_allclose(row["innovation_rad"], body_from_ned @ [0.03, -0.01, 0.0])
 
 
 def test_a_level_vehicle_by_hand():
