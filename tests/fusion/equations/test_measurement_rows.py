@@ -47,7 +47,8 @@ def at_60_s(state):
 @pytest.mark.parametrize("heard", ["nothing", "velocity", "airspeed"])
 @pytest.mark.parametrize("airframe", [Airframe.FIXED_WING, Airframe.MULTIROTOR])
 @pytest.mark.parametrize("drag_s", [(0.0, 0.0, 0.0), (0.0, 3.0, 0.4), (4.0, 3.5, 0.3)])
-def test_the_velocity_through_the_air_is_measured_along_the_body(drag_s, airframe, heard):
+@pytest.mark.parametrize("agrees", [False, True])
+def test_the_velocity_through_the_air_is_measured_along_the_body(drag_s, airframe, heard, agrees):
     """What the class expects, and drag, v = -T (f - f0), against C' (v - wind).
 
     sigma^2 + (0.3 v)^2 + (v u / 4 sigma)^2: T may be wrong by 0.3; of v and of what it is unlike
@@ -61,6 +62,9 @@ def test_the_velocity_through_the_air_is_measured_along_the_body(drag_s, airfram
         state["airspeed_m_s"], state["airspeed_time_ns"] = 17.0, state["time_ns"] - 10**8
     state["turn_force_s"] = TURN_S
     state["turn_force_m_s"] = TURN_S * np.array([0.8, -1.1, -9.3])
+    if agrees:
+        # About what 14 m/s and the drag of 4, 3.5 and 0.3 s show.
+        state["velocity_ned_m_s"] = state["wind_ned_m_s"] + state["dcm"] @ [11.5, 3.0, -0.3]
     before = state.copy()
     pitot = heard == "airspeed" and airframe == Airframe.FIXED_WING
     expected = np.array([17.0 if pitot else 14.0, 0.0, 0.0])
