@@ -8,7 +8,7 @@ import pytest
 from ahrs_service.fusion import force_scale, gravity, zero_velocity
 from ahrs_service.fusion.states import ACCEL_BIAS, AIDED, GYRO_BIAS, UNAIDED, VELOCITY
 from ahrs_service.records import Gate, Phase
-from tests.error_state import attitude, stand
+from tests.error_state import attitude, matrix_of, stand
 from tests.standing import WING, G, settings_of, standing
 
 
@@ -142,15 +142,16 @@ def test_a_tilt_that_steady_motion_contradicts_becomes_doubtful():
     np.testing.assert_allclose(np.diag(state["covariance"])[:3], [4e-4, 4e-4, 0.0])
 
 
-def test_gravity_corrects_the_tilt_by_how_long_it_was_averaged():
+@pytest.mark.parametrize("stands", [(0.0, 0.0, 0.0), (0.5 * math.pi, 0.0, 0.0), (0.5, -0.3, 1.0)])
+def test_gravity_corrects_the_tilt_by_how_long_it_was_averaged(stands):
     """(0.3 / g)^2, and of a slow turn 2 v^2 r / g^2, over 1 s of which 0.12 s were averaged.
 
-    The turn is that about down, to which y of the body points, rolled right by 90 deg. Over ground
-    (7, 4) m/s, of which the wind is (4, 0): 5 m/s.
+    The turn is that about down: 0.02 rad/s, however the body stands and whatever else it turns by.
+    Over ground (7, 4) m/s, of which the wind is (4, 0): 5 m/s.
     """
     settings, state = settings_of(accel_noise_m_s2=0.3), standing()
-    stand(state, attitude([0.5 * math.pi, 0.0, 0.0]))
-    state["smooth_rate_rad_s"] = (0.5, 0.02, 0.7)
+    stand(state, attitude(stands))
+    state["smooth_rate_rad_s"] = matrix_of(state["ned_from_body"]).T @ [0.5, 0.7, -0.02]
     state["velocity_ned_m_s"], state["wind_ned_m_s"] = (7.0, 4.0, 9.0), (4.0, 0.0, 0.0)
     state["turn_s"], state["gate"], state["tilt_innovation_rad"] = 0.12, 0, (0.01, -0.02)
     state["covariance"][0, 0] = state["covariance"][1, 1] = 1e-3
