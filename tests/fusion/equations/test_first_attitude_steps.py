@@ -8,7 +8,7 @@ import pytest
 from ahrs_service.fusion import alignment, plausibility
 from ahrs_service.fusion.states import ACCEL_BIAS, ERROR_STATES, GYRO_BIAS, VELOCITY
 from ahrs_service.records import SAMPLE_DTYPE, Airframe, Flag, empty
-from tests.error_state import attitude, matrix_of, moved, update
+from tests.error_state import attitude, flying, matrix_of, moved, update
 from tests.standing import WING, G, settings_of, standing
 
 
@@ -20,7 +20,15 @@ def test_a_first_attitude_is_that_of_gravity(roll, pitch, airframe):
     accel = G * np.array(
         [math.sin(pitch), -math.sin(roll) * math.cos(pitch), -math.cos(roll) * math.cos(pitch)]
     )
-    alignment.first_attitude(settings_of(), state, airframe, np.zeros(3), accel)
+    bias = state["gyro_bias_rad_s"] = np.array([0.01, -0.02, 0.015])
+    # 0.05 rad/s are those of a bias, not of a turn; rolling in place is none either.
+    rate = np.array([0.3, 0.03, -0.04])
+    alignment.first_attitude(settings_of(), state, airframe, bias + rate, accel)
+    np.testing.assert_allclose(state["rate_rad_s"], rate)
+    np.testing.assert_allclose(state["smooth_rate_rad_s"], rate)
+    for name in ("force_ned_m_s2", "force_before_ned_m_s2"):
+        np.testing.assert_allclose(state[name], [0.0, 0.0, -G], atol=1e-9)
+    np.testing.assert_array_equal(state["velocity_ned_m_s"], 0.0)
     np.testing.assert_allclose(state["dcm"] @ accel, [0.0, 0.0, -G], atol=1e-9)
     assert math.atan2(state["dcm"][2, 1], state["dcm"][2, 2]) == pytest.approx(roll)
 
@@ -67,6 +75,46 @@ def test_a_velocity_along_the_nose_is_as_unsure_as_the_nose():
     np.testing.assert_allclose(state["covariance"], joined @ known @ joined.T, rtol=1e-6, atol=1e-6)
 
 
+def lean(force):
+    """A force of this size whose parts are 2, -3 and -6 of 7."""
+    return force * np.array([2.0, -3.0, -6.0]) / 7.0
+
+
+@pytest.mark.parametrize(("more", "rests"), [(0.45, True), (0.55, False), (-0.55, False)])
+def test_a_force_that_is_off_by_half_a_m_s2_is_not_that_of_rest(more, rests):
+    settings, state = settings_of(alignment_s=0.0), standing()
+    state["aligned_samples"], state["alignment_start_ns"] = 1, state["time_ns"]
+    for name in ("gyro_sum_rad_s", "gyro_square_sum", "force_error_sum"):
+        state[name] = 0.0
+    while not alignment.gather(
+        settings, state, Airframe.OTHER, np.array([0.03, 0.0, 0.0]), lean(G + more)
+    ):
+        pass
+    assert state["gyro_bias_rad_s"][0] == pytest.approx(0.03 if rests else 0.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "index", "value"),
+    [
+        ("ned_from_body", slice(None), 0.6),
+        ("covariance", (5, 5), -1.0),
+        ("covariance", (1, 1), 0.0),
+        ("gyro_matrix", (0, 2), -1.5),
+        ("velocity_ned_m_s", 1, np.inf),
+        ("velocity_lag_s", (), np.nan),
+    ],
+)
+def test_a_state_that_no_flight_brings_about_is_not_sound(name, index, value):
+    state = flying(61)
+    assert alignment.is_sound(state)
+    if index == ():
+        state[name] = value
+    else:
+        state[name][index] = value
+    assert not alignment.is_sound(state)
+    np.testing.assert_array_equal(state["ned_from_body"], [1.0, 0.0, 0.0, 0.0])
+
+
 @pytest.mark.parametrize("rate", [0.03, -0.03])
 def test_a_mean_rate_at_rest_is_the_bias(rate):
     """Less what is taken for the bias already is what was applied; 0.002 rad/s it may be wrong."""
@@ -79,7 +127,7 @@ def test_a_mean_rate_at_rest_is_the_bias(rate):
     for n in range(11):
         state["time_ns"] += 50_000_000
         gyro = np.array([rate, 0.0, 0.01 * (-1) ** n])
-        done = alignment.gather(settings, state, Airframe.OTHER, gyro, np.array([0.0, 0.0, -G]))
+        done = alignment.gather(settings, state, Airframe.OTHER, gyro, lean(G))
         if done:
             break
     assert done
