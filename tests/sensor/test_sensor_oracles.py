@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from ahrs_service.pipeline import new_state
 from ahrs_service.sensor.compensation import compensate_columns
 from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.forward import forward_columns
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration, coefficients
-from ahrs_service.sensor.thermometer import acting_columns
+from ahrs_service.sensor.thermometer import acting_columns, read_thermometer
 
 NODES = (0.0, 20.0, 40.0)
 ZERO = np.zeros((1, 3))
@@ -107,3 +108,16 @@ def test_the_same_polynomial_from_a_border_further_on():
     np.testing.assert_allclose(curve.at([11.0, 13.0])[:, 0], [10.0, 142.0])
     line = Curve.linear((0.0, 10.0), ((1.0,), (3.0,)))
     np.testing.assert_allclose(line.at([0.0, 5.0, 10.0])[:, 0], [1.0, 2.0, 3.0])
+
+
+def test_live_each_triad_remembers_a_temperature_of_its_own():
+    """10 s after a step from 20 to 40 degC: lags of 10 and 20 s show 1 - 1 / e and 1 - e^-0.5."""
+    rows = coefficients(
+        Calibration(
+            gyro=TriadCalibration(thermal_lag_s=10.0), accel=TriadCalibration(thermal_lag_s=20.0)
+        )
+    )
+    state = new_state()
+    assert read_thermometer(rows[0], state[0], 10**9, 20.0) == (20.0, 20.0)
+    found = read_thermometer(rows[0], state[0], 11 * 10**9, 40.0)
+    assert found == pytest.approx((40.0 - 20.0 / np.e, 40.0 - 20.0 / np.sqrt(np.e)))
