@@ -93,6 +93,19 @@ def test_a_force_that_is_off_by_half_a_m_s2_is_not_that_of_rest(more, rests):
     assert state["gyro_bias_rad_s"][0] == pytest.approx(0.03 if rests else 0.0)
 
 
+@pytest.mark.parametrize(("spread", "rests"), [(0.01, True), (0.03, False)])
+def test_a_rate_that_goes_to_and_fro_is_not_that_of_rest(spread, rests):
+    settings, state = settings_of(alignment_s=0.0), standing()
+    state["aligned_samples"], state["alignment_start_ns"] = 1, state["time_ns"]
+    for name in ("gyro_sum_rad_s", "gyro_square_sum", "force_error_sum"):
+        state[name] = 0.0
+    done, sign = False, 1.0
+    while not done:
+        gyro = np.array([0.0, 0.02 + sign * spread, 0.0])
+        done, sign = alignment.gather(settings, state, Airframe.OTHER, gyro, lean(G)), -sign
+    assert (state["gyro_bias_rad_s"][1] != 0.0) == rests
+
+
 @pytest.mark.parametrize(
     ("name", "index", "value"),
     [
