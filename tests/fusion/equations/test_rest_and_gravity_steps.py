@@ -98,14 +98,14 @@ def test_a_scale_is_found_by_how_much_of_gravity_is_shown(shown):
     settings, state = settings_of(accel_bias_sigma_m_s2=0.0), standing()
     state["force_scale"], state["force_scale_variance"], state["at_rest"] = 1.1, 1.6e-3, 0
     state["force_variance"], state["smooth_rate_rad_s"] = 0.01, 0.0
-    state["mean_force_m_s2"] = (0.6 * G * shown, 0.0, -0.8 * G * shown)
+    state["mean_force_m_s2"] = G * shown * np.array([0.6, 0.48, -0.64])
     force_scale.learn(settings, state, WING, 0.1)
     k = 1.6e-3 / (1.6e-3 + (0.5 / G) ** 2 * 10.0)
     change = 1.0 + k * (1.0 / shown - 1.0)
     assert state["force_scale"] == pytest.approx(1.1 * change, rel=1e-12)
     assert state["force_scale_variance"] == pytest.approx((1.0 - k) * 1.6e-3, rel=1e-12)
     np.testing.assert_allclose(
-        state["mean_force_m_s2"], np.array([0.6, 0.0, -0.8]) * G * shown * change
+        state["mean_force_m_s2"], np.array([0.6, 0.48, -0.64]) * G * shown * change
     )
     # Without a prior no scale walks; with one of 0.03 it does by 0.025 of that, squared.
     other = standing()
@@ -113,6 +113,18 @@ def test_a_scale_is_found_by_how_much_of_gravity_is_shown(shown):
     sized = settings_of(accel_scale_error=0.03, accel_bias_sigma_m_s2=0.1)
     force_scale.learn(sized, other, WING, 0.1)
     assert other["force_scale_variance"] == pytest.approx(1.6e-3 + (0.025 * 0.03) ** 2 * 0.1)
+
+
+@pytest.mark.parametrize(("known", "kept"), [(1.2, 1.2), (0.8, 0.8), (1.3, 1.0), (0.7, 1.0)])
+def test_a_scale_that_was_found_is_doubted_and_kept_if_it_can_be(known, kept):
+    """Within 24 %; 1-sigma that of the class, 4 % at most."""
+    for error, sigma in ((0.03, 0.03), (0.1, 0.04)):
+        settings = settings_of(accel_scale_error=error, accel_bias_sigma_m_s2=0.2)
+        state = standing()
+        state["force_scale"] = known
+        force_scale.start(settings, state, WING)
+        assert state["force_scale"] == kept
+        assert state["force_scale_variance"] == pytest.approx(sigma**2)
 
 
 def test_the_gates_look_at_norms_and_at_the_tilt_in_its_sigmas():
