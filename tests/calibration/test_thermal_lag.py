@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ahrs_service.calibration.thermal.lag import LARGEST_LAG_S, estimate_lag
+from ahrs_service.calibration.thermal.lag import LARGEST_LAG_S, Lag, estimate_lag
 from ahrs_service.calibration.thermal.rows import ThermalRows, element_degc
 from ahrs_service.calibration.thermal.smooth_choice import level_outputs
 from ahrs_service.calibration.thermal.smooth_drift import Structure
@@ -85,3 +85,8 @@ def test_a_drift_that_is_not_there_tells_no_lag():
     found = estimate_lag(rows, (Structure(),) * 3, 20.0, level_outputs(rows))
     assert (found.low_s, found.high_s) == (-LARGEST_LAG_S, LARGEST_LAG_S)
     assert not found.is_reported
+
+
+def test_the_standard_error_is_that_of_a_95_percent_interval():
+    """Half of it is 1.96 sigma: 40 s from 30.2 to 49.8 s is 40 s with a sigma of 5 s."""
+    assert Lag(40.0, 30.2, 49.8, True).sigma_s == pytest.approx(5.0, rel=1e-9)
