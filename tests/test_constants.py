@@ -16,6 +16,9 @@ ROOMS = (
     "smoothing.py",
     "vehicle_axes.py",
     "attitude_interpolation.py",
+    "diagnosis",
+    "calibration",
+    "blind",
 )  # rooms and modules below ahrs_service that hold to it
 
 

@@ -16,9 +16,9 @@ from ahrs_service.records import Floats
 ALARM: Final = 0.02
 """Share of null recordings that may alarm: Bonferroni divides it by the number of effects."""
 
-_MOST: Final = 8
-_LAMBDAS: Final = 30
-_SWEEPS: Final = 200
+_MOST: Final = 8  # A choice: a bound; no recording of a set hides more than two effects
+_LAMBDAS: Final = 30  # A choice: penalties over three decades, a step of 27 % (1000^(1/29))
+_SWEEPS: Final = 200  # A choice: a bound on the lasso's descents
 
 
 class _Moments:

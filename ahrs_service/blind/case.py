@@ -21,6 +21,7 @@ from ahrs_service.blind.vehicles import fixed_wing, multirotor
 from ahrs_service.records import Floats
 
 RATES_HZ: Final = {"bench": 100, "flight": 200, "copter": 200}
+"""A choice [Hz]: in flight the shaking (50 to 90 Hz) stays below Nyquist's; a table has none."""
 NULLS: Final = (
     "plain",
     "reference glitches",

@@ -16,6 +16,7 @@ BOOT_US: Final = int(POWER_ON_S * 1e6)
 """Time since boot of the first sample [us]."""
 
 _REFERENCE_HZ: Final = 50
+"""A choice: how often a good reference is sent [Hz]; noise.py counts on the same."""
 _HIGHRES_FIELDS: Final = 0b1000000111111
 """HIGHRES_IMU.fields_updated: accelerations, rates, temperature."""
 _PLANE, _COPTER, _ARDUPILOT, _ACTIVE = 1, 2, 3, 4

@@ -26,6 +26,7 @@ KNOT_S: Final = 0.1
 """Spacing of the splines' knots [s]: the shortest manoeuvre lasts 0.5 s."""
 
 _GRAVITY_NED: Final = np.array([0.0, 0.0, STANDARD_GRAVITY_M_S2])
+"""Gravity [3] [m/s^2] in axes north, east, down."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from ahrs_service.records import Floats
 BLOCK: Final = 5
 """Reports of the reference per point of the residual: 10 Hz of a reference at 50 Hz."""
 
-_CHANNELS: Final = 6
+_CHANNELS: Final = 6  # Three gyros and three accelerometers
 
 
 @dataclass(frozen=True, slots=True)

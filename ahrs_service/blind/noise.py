@@ -18,8 +18,9 @@ SHAKE_AXES: Final = np.array([0.8, 0.8, 1.4])
 GYRO_SHAKE_RAD_S: Final = 0.0145
 """Vibration of the gyro's axes for an amplitude of 1 m/s^2 [rad/s]."""
 
-_SHAKE_BAND_HZ: Final = (50.0, 90.0)
+_SHAKE_BAND_HZ: Final = (50.0, 90.0)  # A choice: once a turn of motors at 3000 to 5400 rpm [Hz]
 _REFERENCE_HZ: Final = 50.0
+"""As messages._REFERENCE_HZ [Hz]: white noise of a report is spread over half of it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from ahrs_service.blind.case import CONTROLS
 
 Json = dict[str, Any]
 
-CONFIDENCE: Final = 0.95
+CONFIDENCE: Final = 0.95  # A choice: intervals of 95 %, 1.96 sigma
 LIKE_WORDS: Final = {
     "attitude": {"attitude", "roll", "pitch", "yaw", "heading", "tilt", "gravity"},
     "rate": {"rate", "turn_rate", "angular_rate", "angular_acceleration", "rotation"},

@@ -15,8 +15,9 @@ LAPSE_K_M: Final = 0.0065
 POWER_ON_S: Final = 5.0
 """Time since power-on of the first sample [s]: the clock of every message."""
 
-_START_DEGC: Final = 20.0
+_START_DEGC: Final = 20.0  # A choice: a room
 _CHAMBER_AT: Final = (0.0, 0.05, 0.45, 0.55, 0.9, 1.0)
+"""A choice: corners of cold, hot, cold as shares of the length, both slopes 40 and 35 %."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ _NOMINAL: Final = {"gyro": 1.0, "accel": 30.0}
 
 PLAYS: Final = (0.25, 0.5, 1.0)
 """Half widths of the play operators, as shares of the widest."""
-_PLAY_WEIGHTS: Final = (0.25, 0.35, 0.4)
+_PLAY_WEIGHTS: Final = (0.25, 0.35, 0.4)  # A choice: they sum to one
 
 
 def above(scene: Scene) -> Floats:

@@ -9,8 +9,8 @@ from ahrs_service.blind.motion import KNOT_S, VehiclePath, knots, smooth, wobble
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.records import Floats
 
-_REST_S: Final = 9.0
-_CLIMB_M_S: Final = 1.5
+_REST_S: Final = 9.0  # A choice: rest before take-off [s]
+_CLIMB_M_S: Final = 1.5  # A choice: the fastest climb or descent [m/s]
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,13 +18,17 @@ from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.records import Floats, Integers
 
 _FLOOR: Final = math.sqrt(2.0 * math.log(2.0) / math.pi)
+"""Of a flat Allan deviation over B: sqrt(2 ln 2 / pi) = 0.664 (IEEE 952, annex C)."""
 _LEAST_CLUSTERS: Final = 9
 """Averaging times are at most a ninth of the record, where one sigma is a third (IEEE 952)."""
 
 _LEAST_SAMPLES: Final = 100
-_SEEN_SIGMA: Final = 2.0
+"""A choice: four octaves of averaging times (1, 2, 4, 8) below a ninth of them."""
+_SEEN_SIGMA: Final = 2.0  # A choice: 95 % that a coefficient is not zero
 _CONFIDENCE: Final = 0.68
+"""One sigma of Gauss, as Allan deviations are usually given (NIST SP 1065)."""
 _OCTAVES_SHARE: Final = 2.0
+"""VehicleAdoption an octave apart share half of their differences: half as many count."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,10 +13,15 @@ from ahrs_service.records import Floats
 AXES: Final = ("x", "y", "z")
 
 _UNITS: Final = ((1000.0, "mG"), (1.0, "g"), (1e5 / STANDARD_GRAVITY_M_S2, "cm/s^2 or mm/s^2"))
+"""What 1 g reads in each; the last is 10197, 4 % above the mm/s^2 (9807), a choice."""
 _UNIT_TOLERANCE: Final = 0.2
+"""A fifth: no sensor worth calibrating is so far off; mG from g differ by a thousand."""
 _FLAT_TOP: Final = 3
+"""A choice: an extreme so often on end is the end of a range, of noise of many steps."""
 _FLAT_TOP_JUMP: Final = 10.0
+"""A choice: usual steps that lead to the end of a range where noise is coarse."""
 _FINE: Final = 30.0
+"""A choice: steps of resolution in the usual change that make noise one of many steps."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,10 +41,13 @@ FACE_WORDS: Final = {
 """How to hold a unit with axes forward, right, down so that this end of an axis is up."""
 
 _HELD_RAD_S: Final = math.radians(6.0)
+"""Three times a hand's tremor of 2 deg/s (see poses.Stillness): slower is held, not moved."""
 _HELD_S: Final = 2.0
+"""A choice: who holds a unit so long means it to be a pose (Stillness asks for 1.5 s)."""
 _TURNS_PER_AXIS: Final = 2
+"""A choice: one to the left and one to the right: what the gyro's bias leaves cancels."""
 _PUSHED: Final = 0.05
-_ALIKE_RAD: Final = math.radians(10.0)
+"""A choice: sensors without calibration are right to 3 % of gravity, so 5 % is a push."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,10 +25,14 @@ from ahrs_service.calibration.verdict import TriadVerdict
 from ahrs_service.records import Floats, Rows
 
 _SAME_FACE_RAD: Final = math.radians(3.0)
+"""A choice: a table off level by 1.5 deg shows as much after half a turn."""
 _LEAST_RAD: Final = math.radians(45.0)
+"""A choice: half of the quarter circle that a table's edges give; less is none on purpose."""
 _LARGEST_MISS: Final = 0.1
-_LEAST_ALONG: Final = 0.9
+"""A choice: data sheets allow a gyro 3 % of scale; 10 % off is another angle."""
+_LEAST_ALONG: Final = 0.9  # A choice: the turn's axis lies within 26 deg (acos 0.9) of the vertical
 _LEAST_ROTATIONS: Final = 4
+"""One about each of three axes determines K, and one more can contradict."""
 
 
 @dataclass(frozen=True, slots=True)

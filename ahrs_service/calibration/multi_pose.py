@@ -29,6 +29,7 @@ FOLDS: Final = 6
 """Parts of which one is held out in turn."""
 
 _PAIRS: Final = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+"""Elements (row, column) of a symmetric matrix by its six parameters."""
 
 
 def fit_accelerometer(poses: Rows, gravity_m_s2: float = STANDARD_GRAVITY_M_S2) -> TriadFit:

@@ -16,11 +16,13 @@ from ahrs_service.calibration.poses import Booleans
 from ahrs_service.records import Floats, Phase, Rows
 from ahrs_service.rotation import euler_columns
 
-_BLOCK_S: Final = 5.0
+_BLOCK_S: Final = 5.0  # A choice: long beside vibration, short beside manoeuvres
 _STEADY_RAD: Final = math.radians(6.0)
-_LEAST_S: Final = 10.0
-_LEAST_IN_BLOCK: Final = 4
+"""A choice: how far roll, pitch and heading may swing in steady motion."""
+_LEAST_S: Final = 10.0  # A choice: two blocks
+_LEAST_IN_BLOCK: Final = 4  # A choice: with fewer estimates a mean slope and a swing tell nothing
 _KNOCK: Final = 10.0
+"""A choice: a peak so many times that of the usual block is a knock or a landing."""
 _QUANTITIES: Final = ("gate_norm_m_s2", "gate_rate_rad_s", "gate_angular_acceleration_rad_s2")
 
 

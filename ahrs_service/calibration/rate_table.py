@@ -23,11 +23,15 @@ from ahrs_service.calibration.verdict import TriadVerdict, Vector
 from ahrs_service.records import Floats
 
 _LARGEST_MISS: Final = 0.2
+"""A choice: seven times a gyro's scale tolerance of 3 %; then the rate is another."""
 _LEAST_RATE_RAD_S: Final = 0.05
-_SAME_RATE_RAD_S: Final = 0.02
+"""A choice: 3 deg/s may be missed at any rate: room for the gyro's bias."""
+_SAME_RATE_RAD_S: Final = 0.02  # A choice: 1 deg/s; a plateau ends where its mean moves by more
 _LARGEST_CONDITION: Final = 20.0
+"""A choice: the third direction lies some 3 deg (1/20) or more off the plane of two."""
 _LEAST_SAMPLES: Final = 100
-_LAG_STEP_S: Final = 0.01
+"""A choice: one second at 100 Hz; the unknowns are thirteen for one recording."""
+_LAG_STEP_S: Final = 0.01  # A choice: grid of the first guess; the fit finds the lag itself
 LARGEST_LAG_S: Final = 0.5
 """Furthest that the encoder's clock may be off [s]."""
 _ADVICE: Final = (

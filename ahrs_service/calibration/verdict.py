@@ -16,6 +16,7 @@ SMALLEST_SPAN_K: Final = 10.0
 LARGEST_CONDITION: Final = 1000.0
 """A parameter is then known from a thousandth of what its column of the Jacobian suggests."""
 DOUBTFUL_CONDITION: Final = 50.0
+"""A choice: a parameter's sigma may be 50 times what its column alone suggests."""
 SMALLEST_COVERAGE: Final = 0.25
 """Share of the sphere under which directions are extrapolated over more than a right angle."""
 

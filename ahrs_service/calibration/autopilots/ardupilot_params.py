@@ -26,16 +26,17 @@ from ahrs_service.errors import InvalidValueError
 from ahrs_service.records import Floats
 from ahrs_service.sensor.parameters import Calibration
 
-REFERENCE_DEGC: Final = 35.0
-SCALE_FACTOR: Final = 1e6
+REFERENCE_DEGC: Final = 35.0  # ArduPilot's TEMP_REFERENCE [degC]
+SCALE_FACTOR: Final = 1e6  # ArduPilot's SCALE_FACTOR: parameters are in millionths
 LEAST_SPAN_DEGC: Final = 10.0
-LARGEST_OFFSET_M_S2: Final = 3.5
-SCALES: Final = (0.8, 1.2)
-IMUS: Final = range(1, 6)
+"""ArduPilot's TEMP_RANGE_MIN [degC]: it learns no calibration over less."""
+LARGEST_OFFSET_M_S2: Final = 3.5  # Range of INS_ACCOFFS_* in ArduPilot's parameter list [m/s^2]
+SCALES: Final = (0.8, 1.2)  # Range of INS_ACCSCAL_* in ArduPilot's parameter list
+IMUS: Final = range(1, 6)  # ArduPilot's INS_MAX_INSTANCES is 5
 
 _AXES: Final = "XYZ"
-_POWERS: Final = (1, 2, 3)
-_ENABLED: Final = 1
+_POWERS: Final = (1, 2, 3)  # P(t) is a cubic without a constant
+_ENABLED: Final = 1  # INS_TCALn_ENABLE: 0 off, 1 on, 2 learns
 _LETTERS: Final[dict[Triad, str]] = {"accel": "ACC", "gyro": "GYR"}
 
 

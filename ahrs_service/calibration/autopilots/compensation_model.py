@@ -48,6 +48,7 @@ _DIRECTIONS: Final = np.array(
 _UNIT: Final = _DIRECTIONS / np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
 """Faces, edges and corners of a cube [26, 3]: all directions alike to the third moment."""
 _FACES: Final = np.concatenate([np.eye(3), -np.eye(3)])
+"""Directions up [6, 3] of a unit on each of its faces."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,9 +26,9 @@ from ahrs_service.errors import InvalidValueError
 from ahrs_service.records import Floats
 from ahrs_service.sensor.parameters import Calibration
 
-IMUS: Final = range(1, 5)
+IMUS: Final = range(1, 5)  # PX4's MAX_SENSOR_COUNT is 4
 
-_ENABLED: Final = 1
+_ENABLED: Final = 1  # TC_A_ENABLE, TC_G_ENABLE: 0 off, 1 on
 _TC: Final[dict[Triad, str]] = {"accel": "A", "gyro": "G"}
 _CAL: Final[dict[Triad, str]] = {"accel": "ACC", "gyro": "GYRO"}
 

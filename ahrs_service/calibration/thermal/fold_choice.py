@@ -14,7 +14,7 @@ from ahrs_service.records import Floats, Integers
 Fit = Callable[[ThermalRows, float], tuple[Axes, float] | None]
 """Curves and lag [s] for some rows and a zero temperature, None where they cannot be fitted."""
 
-TENTHS: Final = 10
+TENTHS: Final = 10  # A choice: parts of a session that are fitted and held out in turn
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,8 @@ from ahrs_service.calibration.poses import directions, sphere_coverage
 from ahrs_service.calibration.thermal.poses import still_rows
 from ahrs_service.calibration.thermal.rows import ThermalRows
 
-MOVING_S: Final = 5.0
-STALE_S: Final = 300.0
+MOVING_S: Final = 5.0  # A choice: five windows of WINDOW_S without rest are motion, not a bump
+STALE_S: Final = 300.0  # A choice: at SLOWEST_DEGC_MIN the slope then stands on half a degree
 SLOWEST_DEGC_MIN: Final = 0.1
 """Slower than this, another degree takes ten minutes."""
 

@@ -11,7 +11,7 @@ from ahrs_service.calibration.thermal.rows import ThermalRows
 from ahrs_service.calibration.thermal.smooth_drift import AxisProblem, Structure
 from ahrs_service.records import Floats
 
-LARGEST_LAG_S: Final = 180.0
+LARGEST_LAG_S: Final = 180.0  # A choice: range of the search [s]
 _HALF_CHI2: Final = 0.5 * 3.841
 """Drop of the log likelihood at the ends of a 95 % interval (chi-squared of one parameter)."""
 _GRID: Final = np.linspace(-1.0, 1.0, 17) ** 3 * LARGEST_LAG_S

@@ -12,19 +12,22 @@ from ahrs_service.calibration.poses import Booleans, Stillness, windows_of
 from ahrs_service.calibration.thermal.rows import ThermalRows
 from ahrs_service.records import Floats, Integers
 
-WINDOW_S: Final = 1.0
+WINDOW_S: Final = 1.0  # A choice: a mean over it has a hundredth of the noise's variance at 100 Hz
 MOST_ROWS: Final = 4000
 """A row per window; of longer recordings the windows are longer."""
-TURN_RAD_S: Final = math.radians(1.0)
+TURN_RAD_S: Final = Stillness().turn_rad_s
+"""As of any pose, but about the windows around, for the bias drifts."""
 NEAR_M_S2: Final = 0.05
 """A pose that comes back within 5 mg, as a table or a fixture brings it, is the same pose."""
-BUMP_M_S2: Final = 0.01
+BUMP_M_S2: Final = 0.01  # A choice: 1 mg; a pose that shifts by less is taken to drift
 APART_M_S2: Final = 1.7
 """A tenth of a turn: between two visits of one pose the unit was clearly elsewhere."""
 
-_SIGMAS: Final = 4.0
+_SIGMAS: Final = 4.0  # A choice: by chance one value in 16000 is so far off (Gauss, two-sided)
 _AROUND: Final = 61
+"""A choice: the median of a minute's windows is not moved by a turn of less than half of it."""
 _RECENT: Final = 5
+"""A choice: windows whose mean is a pose's last or first force: 2.2 times less noise than one."""
 
 
 def still_rows(columns: ImuColumns, session: int = 0) -> tuple[ThermalRows, ThermalRows]:

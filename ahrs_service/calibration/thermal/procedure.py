@@ -42,16 +42,18 @@ from ahrs_service.sensor.provenance import Uncertainty
 PROCEDURE: Final = "thermal"
 LEAST_SPAN_K: Final = 2.0
 """Below this a recording shows the sensor's noise and no temperature [K]."""
-BIN_DEGC: Final = 5.0
+BIN_DEGC: Final = 5.0  # A choice: the width of the paper's segments, as SEGMENT_DEGC
 LEAST_ROWS: Final = TENTHS
 """One in each part that is held out: fewer tell nothing of time not seen."""
 
 _SIGMA_NODES: Final = 8
-_SIGNIFICANT: Final = 3.0
+"""A choice: pieces of the straight lines that carry the sigma over temperature."""
+_SIGNIFICANT: Final = 3.0  # A choice: 3 sigma; by chance one value in 370 is so large
 _LARGEST_LOOP: Final = 0.1
 """Share of the drift that heating and cooling may differ by without a warning."""
 _UNITS: Final = {"gyro": "rad/s", "accel": "m/s^2"}
 _LEAST_SESSIONS: Final = 3
+"""A choice: a scatter of three power-ons is right to 50 % (1 / sqrt(2 * 2))."""
 
 Triad = Literal["gyro", "accel"]
 

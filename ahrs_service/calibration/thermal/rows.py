@@ -11,7 +11,7 @@ from ahrs_service.records import Floats, Integers
 SLOPE_WINDOW_S: Final = 30.0
 """Time over which a thermometer's rate is measured where the sensor runs ahead of it [s]."""
 
-_SLOWEST_GRID: Final = 100_000
+_SLOWEST_GRID: Final = 100_000  # A choice: bounds the memory; of a day one point each 0.9 s
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,15 +13,16 @@ from ahrs_service.calibration.thermal.rows import ThermalRows
 from ahrs_service.calibration.thermal.smooth_drift import AxisProblem, Scale, Structure
 from ahrs_service.records import Floats, Integers
 
-FOLDS: Final = 11
+FOLDS: Final = 11  # A choice: a prime near ten, so that SESSION_BLOCKS is no multiple of it
 SESSION_BLOCKS: Final = 20
 """No multiple of FOLDS: like times of two sessions, and so like temperatures, are not held out
 together."""
-ROWS_EACH: Final = 5
+ROWS_EACH: Final = 5  # A choice: rows asked for each coefficient
 SEGMENT_DEGC: Final = 5.0
 """Width of the paper's segments, in which a part's curve is taken as straight."""
-_LEAST_ROWS: Final = 2
+_LEAST_ROWS: Final = 2  # A choice: least rows of a block, so that neighbours are held out together
 _INPUT_TO_DRIFT: Final = 10.0
+"""A choice: by how much more than the drift the inputs of a scale must differ."""
 
 
 def time_folds(rows: ThermalRows, folds: int = FOLDS) -> Integers:

@@ -13,10 +13,14 @@ from ahrs_service.effects.catalogue import EFFECTS
 from ahrs_service.records import Floats
 
 _REGIME_S: Final = 0.3
+"""A choice: width [s] of a Gauss filter, which passes below 0.44 Hz (-3 dB), slow manoeuvres."""
 _LEAST_SPREAD: Final = 1e-6
+"""A choice: eight steps of float32 (1.2e-7), as messages carry it: less spread is rounding."""
 _LIMITS: Final = (0.97, 1.0, 1.03)
+"""Shares of the largest reading: 3 % is the scale tolerance in MPU-6000's data sheet."""
 _NEAR_LIMIT: Final = 0.85
-_LEAST_TIES: Final = 5
+"""A choice: from this share of the largest slow reading on, vibration may have been cut."""
+_LEAST_TIES: Final = 5  # A choice: equal largest readings that make an end of range
 
 
 Entry = tuple[Parameter, tuple[int, ...]]

@@ -26,7 +26,11 @@ CLEARLY: Final = 3.0
 _FORM_SHARE: Final = 0.05
 """Of a name's gain, what real physics of another form than the catalogue's may leave."""
 
-_TRIED: Final = 3
+FITTED: Final = 3
+"""A choice: hypotheses fitted with their noise, the costly part; names and unknowns alike."""
+IN_REACH: Final = 0.5
+"""A choice: of the surprise to be beaten, from which a hypothesis is worth its full fit: screened
+under noise that it has itself inflated it shows less."""
 
 
 def evidence(gain: float, freedom: int) -> float:
@@ -70,8 +74,8 @@ def best_unknown(
     ranking = [(c, v) for c, v in forms if c.effect is None and c.name not in model.unknown]
     steps = [
         extend(residual, library, model, candidate, has_noise=True)
-        for candidate, value in ranking[:_TRIED]
-        if value > least / 2.0
+        for candidate, value in ranking[:FITTED]
+        if value > IN_REACH * least
     ]
     steps = [step for step in steps if step.surprise > least]
     return max(steps, key=lambda s: evidence(s.gain, s.candidate.freedom), default=None)
@@ -100,7 +104,7 @@ def unknown_instead(
     gains = screen(residual, shorter.noise, library, shorter.base, shorter.misfit)
     forms = [(c, v) for c, v in best_forms(library, gains) if acts_on(term.effect.triad, c.name)]
     step = best_unknown(
-        residual, library, shorter, forms, max(least, 0.5 * evidence(gain, freedom))
+        residual, library, shorter, forms, max(least, IN_REACH * evidence(gain, freedom))
     )
     if step is None or not is_clearer_than(residual, step, model, freedom):
         return None

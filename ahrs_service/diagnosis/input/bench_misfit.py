@@ -27,9 +27,11 @@ from ahrs_service.effects.base import Addition
 from ahrs_service.errors import DiagnosisError
 from ahrs_service.records import Floats
 
-_STEP_S: Final = 0.08
+_STEP_S: Final = 0.08  # A choice: Nyquist's frequency of the windows is 6.3 Hz, about MOTION_HZ
 _MOST_ROWS: Final = 12000
+"""A choice: bounds time and memory; beyond 16 min the windows become longer."""
 _MOST_KNOWN: Final = 100
+"""A choice: whitened channels kept before all are dropped: bounds the memory."""
 
 
 class BenchResidual:

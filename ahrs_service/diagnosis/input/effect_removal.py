@@ -17,7 +17,9 @@ from ahrs_service.effects.undo import Acting, added, added_to, delay_s
 from ahrs_service.errors import DiagnosisError
 
 _SMOOTHED_S: Final = 0.05
+"""A mean of 50 ms passes motion below 8.9 Hz (-3 dB), so all below MOTION_HZ."""
 _ITERATIONS: Final = 3
+"""A choice: each pass leaves of the error the effect's share, of a scale of 3 % 3e-5 in all."""
 
 
 def acting(recorded: Recorded) -> Columns:

@@ -33,20 +33,25 @@ from ahrs_service.effects.base import Addition
 from ahrs_service.records import Floats
 from ahrs_service.rotation import inverse_columns, rotate_columns
 
-_STEP_S: Final = 0.1
+_STEP_S: Final = 0.1  # A choice: Nyquist's frequency of the windows is 5 Hz, near MOTION_HZ
 _MOST_ROWS: Final = 8000
+"""A choice: bounds time and memory; beyond 13 min the windows become longer."""
 _UNKNOWN_ANGLE: Final = 1.0
+"""Variance [rad^2]: 1 rad is 1400 times the reference's first error, as good as unknown."""
 _UNKNOWN_SPEED: Final = 100.0
+"""Variance [m^2/s^2]: 10 m/s is 330 times the reference's first error, likewise."""
 _SIZES: Final = 50.0
-_WANDERS: Final = 1000.0
+"""A choice: a fitted noise lies within this factor of its first guess, two sigma of its prior."""
+_WANDERS: Final = 1000.0  # A choice: the same of a wander, of which a first guess knows least
 _LONGEST_ERROR: Final = float(np.log(60.0))
 """An INS takes its tilt and velocity back to what it observes within tens of seconds; what stays
 longer is no error of its that comes and goes. Of real flights four attitudes err for 5 to 36 s and
 two for 84 and 107 s, of which this bound costs 1.5 nats at most; a bound of 20 s would cost 18
 (tests/benchmarks/reference_errors.py)."""
-_TIMES: Final = 30.0
+_TIMES: Final = 30.0  # A choice: the same of the reference's correlation times, downwards
 _GYRO, _ACCEL = slice(0, 3), slice(3, 6)
 _USUAL_DENSITIES: Final = (7e-5, 1e-3)
+"""As ICM-20602's data sheet has them: 0.004 deg/s and 100 ug per sqrt(Hz)."""
 _FILTERS_KEPT: Final = 3
 """Gains of the last noises, 9 MB each: the same noise is asked for many times in turn."""
 _QUIETEST: Final = 0.3
@@ -236,7 +241,7 @@ class FlightResidual:
         return np.log([*attitude, *gyro, *velocity, *accel, 5e-6, 3e-4, 1e-4])
 
     def noise_bounds(self) -> list[tuple[float, float]]:
-        """Return bounds a factor of 30 about the first sizes, 10 for times."""
+        """Return bounds: factors of _SIZES, _WANDERS and _TIMES about the first guesses."""
         bounds = []
         for name, value in zip(self.noise_names, self.first_noise(), strict=True):
             is_time = name.endswith(("attitude_s", "velocity_s"))

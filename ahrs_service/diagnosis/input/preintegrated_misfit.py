@@ -20,8 +20,8 @@ _FINE_S: Final = 0.02
 _DENSE_S: Final = 0.005
 """Lines through samples so far apart miss 2e-4 m/s^2 of gravity's turn at 200 deg/s."""
 
-_GAP: Final = 4.0
-_SHORTEST_GAP_S: Final = 0.1
+_GAP: Final = 4.0  # A choice: a step of more usual ones is a gap: four samples or more are lost
+_SHORTEST_GAP_S: Final = 0.1  # A choice: no shorter step is a gap, however fast the sensor
 
 
 @dataclass(frozen=True, slots=True)

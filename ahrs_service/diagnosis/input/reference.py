@@ -15,14 +15,18 @@ from ahrs_service.rotation import inverse_columns, multiply_columns, rotate_colu
 LEAST_REFERENCES: Final = 200
 """Four seconds at 50 Hz: less holds no bias apart from noise."""
 
-_JUMP_SIGMA: Final = 9.0
-_NEIGHBOURS: Final = 5
+_JUMP_SIGMA: Final = 9.0  # Of Gaussian noise 2e-19 of the increments lie further off: see `jumps`
+_NEIGHBOURS: Final = 5  # The median of five is not moved by a jump that takes one or two intervals
 _LONGEST_EXCURSION_S: Final = 20.0
-_RETURN_SHARE: Final = 0.4
-_STILL_M_S: Final = 1e-9
+"""A choice: longest stay away from the truth that is looked for between two jumps."""
+_RETURN_SHARE: Final = 0.4  # A choice: part of a jump that may be left after the jump back
+_STILL_M_S: Final = 1e-9  # A choice: a velocity of zeros, but for rounding
 _SELDOM: Final = 1.5
+"""Half-way between a velocity as frequent as the attitude and one half as frequent."""
 _NEAR: Final = 20
+"""A choice: half of the 40 intervals near by that tell how rough the motion is there."""
 _ONCE: Final = 3.0
+"""A choice: 3 robust sigmas of the increments, which noise may add to what is left."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ from ahrs_service.effects.base import Columns
 from ahrs_service.records import Floats
 
 GRAVITY_NED: Final = np.array([0.0, 0.0, STANDARD_GRAVITY_M_S2])
+"""Gravity [3] [m/s^2] in axes north, east, down; standard, not local."""
 
 MOTION_HZ: Final = 7.0
 """Vehicles of these sizes turn slower than this, motors shake faster."""
@@ -69,11 +70,16 @@ _SHAKEN_S: Final = 0.15
 """The same for vibration, which follows the motors within tenths of a second."""
 
 _SCATTER_S: Final = 0.5
+"""A choice: sigma of a Gauss window, so that a second around an instant counts."""
 _MOVING_SHARE: Final = 0.9
-_SLOWER_HZ: Final = (3.0, 1.0, 0.5)
-_FLOOR_HZ: Final = (3.0, 20.0)
-_FLOOR_SEGMENT_S: Final = 4.0
+"""Of what moves 97 % and more of the power is in both (see `moving`); a choice below that."""
+_SLOWER_HZ: Final = (WITNESSED_HZ, 1.0, 0.5)
+"""A choice: what is tried below MOTION_HZ, first what a noisy reference tells."""
+_FLOOR_HZ: Final = (WITNESSED_HZ, 20.0)
+"""Between motion, slower than WITNESSED_HZ, and the airframe's vibration; 20 Hz is a choice."""
+_FLOOR_SEGMENT_S: Final = 4.0  # A choice: 68 frequencies, 0.25 Hz apart, lie between 3 and 20 Hz
 _FLOOR_QUANTILE: Final = 0.1
+"""A choice: the lowest seven of 68; what it is too low is divided out by chi-squared."""
 
 
 def covariates(

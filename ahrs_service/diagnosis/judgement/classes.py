@@ -20,9 +20,13 @@ SHARE_OF_MAIN: Final = 0.004
 """Of a gain, what is beyond telling at any size: so well are response and motion known."""
 
 _EXPECTED_SHARE: Final = 0.25
-_TRIED: Final = 5
+"""A choice: of a gain below 16 nats (ALIKE over it), what another may lose and still stand in."""
+TRIED: Final = 5
+"""A choice: hypotheses, best screened first, that are fitted; the search takes as many."""
 _WORTH: Final = 0.4
+"""A choice: of the screened surprise, from which a rival is worth its fit."""
 _ALIKE_SHARE: Final = 0.7
+"""A choice: of the surprise fitted, from which a rival's noise is fitted too."""
 
 
 def expected_losses(
@@ -67,7 +71,7 @@ def alike(
     own = next((value for c, value in ranking if c.name == name), step.surprise)
     losses = expected_losses(residual, library, shorter, model, place)
     reach = ALIKE + SHARE_OF_MAIN * step.gain
-    others = [(c, v) for c, v in ranking if c.name != name and v > _WORTH * own][:_TRIED]
+    others = [(c, v) for c, v in ranking if c.name != name and v > _WORTH * own][:TRIED]
     same = [(v, c.name) for c, v in ranking if _is_near(losses, c.name, name, step.gain)]
     mine = extend(residual, library, shorter, step.candidate, has_noise=False)
     rival = None

@@ -24,9 +24,8 @@ from ahrs_service.diagnosis.input.misfit import Residual
 from ahrs_service.diagnosis.noise_model.likelihood import Fit, Posterior, solve
 from ahrs_service.records import Floats
 
-_AWAY: Final = np.sqrt(3.0)
-_SIDE: Final = 1.0 / 6.0
-"""Gauss and Hermite's outer points of three [sigma] and their weight."""
+_AWAY: Final = np.sqrt(3.0)  # Outer points of Gauss and Hermite's three [sigma]
+_SIDE: Final = 1.0 / 6.0  # and their weight
 
 CHOSEN: Final = 1.1
 """Calibrated on 497 numbers that whole searches found in 242 blind recordings: 62 and 91 % of them

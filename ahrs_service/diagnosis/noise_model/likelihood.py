@@ -9,13 +9,17 @@ from ahrs_service.diagnosis.input.misfit import Noise, Residual
 from ahrs_service.records import Floats
 
 _RIDGE: Final = 1e-10
-_NO_ENERGY: Final = 1e-200
+"""A choice: added to a diagonal of ones: a million times rounding, never as much as information."""
+_NO_ENERGY: Final = 1e-200  # A choice: nothing but columns of zeros, or of underflow, is below it
 _PROBE: Final = 1e-3
-_PRIOR_SIGMA: Final = 2.0
-_SETTLED_NATS: Final = 0.02
+"""A choice: step [log] of one-sided differences, whose error is half of it in proportion."""
+_PRIOR_SIGMA: Final = 2.0  # A choice: a first guess is right to a factor of e^2 = 7
+_SETTLED_NATS: Final = 0.02  # A choice: a last step worth 1/400 of ALARM
 _LONGEST_STEP: Final = 1.5
+"""A choice: a noise changes by a factor of 4.5 (e^1.5) at most in one step."""
 _DAMPINGS: Final = 6
-_FIRST_DAMPING: Final = 0.1
+"""A choice: from _FIRST_DAMPING on, six reach 780 times the information (0.1 * 6^5)."""
+_FIRST_DAMPING: Final = 0.1  # A choice: of the information's diagonal, where a step overshot
 
 
 @dataclass(frozen=True, slots=True)

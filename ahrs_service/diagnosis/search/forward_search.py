@@ -30,6 +30,8 @@ from ahrs_service.diagnosis.hypotheses.model import (
     refit,
 )
 from ahrs_service.diagnosis.hypotheses.named_vs_unknown import (
+    FITTED,
+    IN_REACH,
     as_telling,
     best_unknown,
     is_clearer_than,
@@ -38,7 +40,7 @@ from ahrs_service.diagnosis.hypotheses.named_vs_unknown import (
 from ahrs_service.diagnosis.hypotheses.score_test import screen, surprise
 from ahrs_service.diagnosis.input.misfit import Residual
 from ahrs_service.diagnosis.judgement.agreement import scatter_of_term, scatter_of_unknown
-from ahrs_service.diagnosis.judgement.classes import ALIKE, SHARE_OF_MAIN, alike
+from ahrs_service.diagnosis.judgement.classes import ALIKE, SHARE_OF_MAIN, TRIED, alike
 from ahrs_service.diagnosis.judgement.held_out_gain import held_out
 from ahrs_service.diagnosis.search.search_threshold import alarm, hypotheses, maxima
 
@@ -48,21 +50,25 @@ ALARM: Final = alarm(20.0)
 
 UNKNOWN_ALARM: Final = 16.0
 """The same for a smooth unknown dependence: higher, because noise that goes with the motion (a
-jittered reference) raises these tests, of which there are twenty of twelve numbers each."""
+jittered reference) raises these tests, of which there are twenty of twelve numbers each. By how
+much is a choice: twice ALARM, nearly."""
 
-_TRIED: Final = 5
-_FITTED: Final = 3
 _CLOSE: Final = 0.6
-_MOST_STEPS: Final = 5
+"""A choice: of the best surprise, from which an effect's noise is fitted too. Not classes.py's 0.7:
+there the best is the effect itself, which has its noise already."""
+_MOST_STEPS: Final = 5  # A choice: a bound on the effects and unknown dependences of one recording
 _KEPT_SHARE: Final = 0.25
+"""A choice: beside something unknown a name must keep so much of the gain it was taken for."""
 _APART: Final = 0.15
+"""A choice: correlation below which one effect cannot have stood in for two."""
 _FREED: Final = 11.0
 """More surprise [nats] asked of a gain that is there only once the wander is fitted again: its size
 and time are badly known, and a smaller wander makes more of any slow regressor. Of 100 recordings
 of noise the largest were 17.2 and 15.1 so, wander that follows temperature, and 5.3 before. Not of
 a turned mounting, no slow regressor: there the largest was 4.4, of the 66 of them in motion."""
 _SHARE_OF_UNKNOWN: Final = 0.3
-_SOME: Final = 1.5
+"""A choice: of an unknown dependence's gain, what its rest may imitate (see _beside_unknown)."""
+_SOME: Final = 1.5  # A choice: of 22 % of the hypotheses noise alone makes as much (e^-1.5)
 Progress = Callable[[float], None]
 
 
@@ -102,7 +108,7 @@ def best_step(residual: Residual, library: Library, model: Model, least: float) 
     gains = screen(residual, model.noise, library, model.base, model.misfit)
     forms = best_forms(library, gains)
     named = _best_named(residual, library, model, forms, least)
-    least_unknown = max(UNKNOWN_ALARM, 0.0 if named is None else 0.5 * named.surprise)
+    least_unknown = max(UNKNOWN_ALARM, 0.0 if named is None else IN_REACH * named.surprise)
     unknown = best_unknown(residual, library, model, forms, least_unknown)
     if unknown is not None and (
         named is None or is_clearer_than(residual, unknown, named.model, named.candidate.freedom)
@@ -135,7 +141,7 @@ def _best_named(
     least: float,
 ) -> Step | None:
     """Return the most surprising effect: settled, then those in reach fitted with their noise."""
-    ranking = [(c, value) for c, value in _named(forms, model) if value > 0.5 * least][:_TRIED]
+    ranking = [(c, value) for c, value in _named(forms, model) if value > IN_REACH * least][:TRIED]
     ranking += [(c, v) for c, v in forms if _is_swallowed(c, v) and (c, v) not in ranking]
     if not ranking:
         return None
@@ -146,7 +152,7 @@ def _best_named(
     fitted = [
         step_between(residual, model, step.candidate, refit(residual, step.model))
         for rank, step in enumerate(close)
-        if (rank < _FITTED and step.surprise >= _CLOSE * top)
+        if (rank < FITTED and step.surprise >= _CLOSE * top)
         or _is_swallowed(step.candidate, step.surprise)
     ]
     fitted = [step for step in fitted if _is_possible(library, step)]

@@ -15,6 +15,7 @@ from ahrs_service.effects.base import Addition
 from ahrs_service.records import Floats
 
 _BINS: Final = 8
+"""A choice: octiles; eight means show a bend and keep an eighth of the samples each."""
 _UNITS: Final = {
     "temperature": "degC",
     "temperature slope": "degC/s",
