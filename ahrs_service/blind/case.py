@@ -95,7 +95,7 @@ def make(request: Request) -> Case:
     gyro, accel = _read(rng, request, scene, law, total([p.added for p in parts], count))
     for part in parts:
         if part.limit is not None:
-            cut = gyro if part.entry["effect"].startswith("gyro") else accel
+            cut = gyro if part.clipped == "gyro" else accel
             np.clip(cut, -part.limit, part.limit, out=cut)
     hidden = total([p.shape for p in parts], count)
     reported = _reported(scene, request)

@@ -26,13 +26,14 @@ class Part:
     """One hidden effect: `shape` as the oracle counts it, `added` to the readings, truth.
 
     A filter also filters vibration, which the oracle does not count. A clip is applied to the
-    finished reading, noise included: `limit`, and `added` is nothing.
+    finished reading of one sensor, noise included: `limit` and `clipped`; `added` is nothing.
     """
 
     shape: Signals
     added: Signals
     entry: dict[str, Any]
     limit: float | None = None
+    clipped: str | None = None
 
 
 def hide(rng: np.random.Generator, name: str, scene: Scene, law: NoiseLaw, level: int) -> Part:
@@ -45,8 +46,7 @@ def hide(rng: np.random.Generator, name: str, scene: Scene, law: NoiseLaw, level
 
     """
     hidden = _draw(rng, name, scene)
-    clips = name.endswith("_saturation")
-    quiet = scene if clips else replace(scene, shake=silence(len(scene.time_s)))
+    quiet = scene if hidden.clipped else replace(scene, shake=silence(len(scene.time_s)))
     size = 1.0 if hidden.is_fixed else float(np.exp(rng.uniform(*np.log(_PLAIN_SIZES))))
     seen = gain(hidden.signals(quiet, size), law, scene.rate_hz)
     if not hidden.is_fixed and (level or seen < LEVEL_NATS[2]):
@@ -105,8 +105,9 @@ def _part(hidden: Hidden, size: float, scene: Scene, quiet: Scene, law: NoiseLaw
         for sensor, values in zip(("gyro", "accel"), shape, strict=True)
     }
     entry["oracle_nats"] = gain(shape, law, scene.rate_hz)
-    if "limit" in params:
-        return Part(shape, silence(len(scene.time_s)), entry, params["limit"])
+    if hidden.clipped:
+        nothing = silence(len(scene.time_s))
+        return Part(shape, nothing, entry, params["limit"], hidden.clipped)
     added = shape if quiet is scene else hidden.signals(scene, size)
     return Part(shape, added, entry)
 

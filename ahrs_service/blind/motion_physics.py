@@ -148,7 +148,12 @@ def saturation(sensor: str) -> Draw:
             bound = limit(scene, size)
             return on(sensor, np.clip(full, -bound, bound) - full)
 
-        return Hidden(f"{sensor}_saturation", signals, lambda size: {"limit": limit(scene, size)})
+        return Hidden(
+            f"{sensor}_saturation",
+            signals,
+            lambda size: {"limit": limit(scene, size)},
+            clipped=sensor,
+        )
 
     return draw
 

@@ -48,6 +48,8 @@ class Hidden:
     implies: tuple[str, ...] = ()
     is_fixed: bool = False
     """Nature sets its size: it cannot be scaled."""
+    clipped: str | None = None
+    """The sensor ("gyro", "accel") whose finished reading is cut at the parameter `limit`."""
 
 
 Draw = Callable[[np.random.Generator, str, "Scene"], Hidden]

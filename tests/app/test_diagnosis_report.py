@@ -43,6 +43,7 @@ def finding(effect="accel_vibration_rectification", **changes):
     )
     values = {
         "effect": effect,
+        "triad": effect.split("_", maxsplit=1)[0],
         "alike": (effect, "accel_current_coupling"),
         "axes": ("z",),
         "where": (Where(60.0, 150.0, "vibration above 2 m/s^2"),),
@@ -65,12 +66,22 @@ def diagnosis():
     before = np.random.default_rng(4).normal(0.0, 1e-3, (len(time_s), 6))
     edges = np.linspace(0.0, 5.0, 11)
     against = Covariate(
-        "accel_z", "vibration", "m/s^2", edges, -edges[:10], np.ones(10), -edges[:10], 1e-20
+        "accel",
+        "accel_z",
+        "vibration",
+        "m/s^2",
+        edges,
+        -edges[:10],
+        np.ones(10),
+        -edges[:10],
+        1e-20,
     )
     return Diagnosis(
         verdict="unexplained",
         findings=(finding(),),
-        unexplained=(Unexplained("accel_x", ("airspeed",), (Where(20.0, 90.0, ""),), 1e-5),),
+        unexplained=(
+            Unexplained("accel", "accel_x", ("airspeed",), (Where(20.0, 90.0, ""),), 1e-5),
+        ),
         not_observable=(NotObservable("gyro_thermal_bias", "the temperature spans 0.4 degC"),),
         holdout=None,
         free_run=FreeRun(3.2, 0.4),
@@ -152,12 +163,14 @@ def test_a_parameter_is_named_without_the_unit_that_its_value_carries(name, word
 
 
 def test_every_covariate_has_the_most_telling_channel_of_each_sensor():
-    channels = ("gyro_x", "gyro_y", "accel_x", "accel_z")
+    channels = (
+        ("gyro", "gyro_x"), ("gyro", "gyro_y"), ("accel", "accel_x"), ("accel", "accel_z")
+    )  # fmt: skip
     edges, nothing = np.arange(3.0), np.zeros(2)
     panels = [
-        Covariate(channel, covariate, "1", edges, nothing, nothing, nothing, 0.1 / (n + 1))
+        Covariate(triad, channel, covariate, "1", edges, nothing, nothing, nothing, 0.1 / (n + 1))
         for covariate in ("throttle", "time")
-        for n, channel in enumerate(channels)
+        for n, (triad, channel) in enumerate(channels)
     ]
     shown = [(item.covariate, item.channel) for item in most_telling(panels)]
     assert shown == [

@@ -29,8 +29,13 @@ from ahrs_service.diagnosis.hypotheses.candidates import library_of
 from ahrs_service.diagnosis.hypotheses.model import bare
 from ahrs_service.diagnosis.hypotheses.score_test import screen
 from ahrs_service.diagnosis.noise_model.whiteness import whiteness
-from ahrs_service.diagnosis.search.forward_search import ALARM, best_forms
-from ahrs_service.diagnosis.search.search_threshold import hypotheses, maxima, over_the_search
+from ahrs_service.diagnosis.search.forward_search import best_forms
+from ahrs_service.diagnosis.search.search_threshold import (
+    ALARM,
+    hypotheses,
+    maxima,
+    over_the_search,
+)
 
 CASES = Path(__file__).resolve().parents[3] / "shared" / "mismatch" / "cases"
 FLOWN = ("reference glitches", "jittered reference", "strong vibration")

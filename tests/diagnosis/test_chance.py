@@ -43,7 +43,8 @@ def library_of(rows, repeats):
     effect = EFFECTS["imu_time_offset"]
     count = rows.shape[2]
     candidates = [
-        Candidate(str(n), effect, "", {}, slice(n, n + 1), 1) for n in range(repeats * count)
+        Candidate(str(n), effect.triad, effect, "", {}, slice(n, n + 1), 1)
+        for n in range(repeats * count)
     ]
     return Library(candidates, np.concatenate([rows] * repeats, axis=2))
 

@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.diagnosis.hypotheses.candidates import (
+    Dependence,
     Term,
     limits,
     linear_entries,
@@ -45,7 +46,7 @@ class Model:
     """
 
     terms: tuple[Term, ...]
-    unknown: tuple[str, ...]
+    unknown: tuple[Dependence, ...]
     unknown_rows: Floats
     noise: Noise
     log_likelihood: float
@@ -211,7 +212,7 @@ def settle(
     residual: Residual,
     terms: tuple[Term, ...],
     noise: Noise,
-    unknown: tuple[str, ...] = (),
+    unknown: tuple[Dependence, ...] = (),
     unknown_rows: Floats | None = None,
 ) -> Model:
     """Fit the terms' numbers under one noise: Gauss-Newton, shorter where it overshoots."""
