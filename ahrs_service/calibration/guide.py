@@ -44,7 +44,6 @@ _HELD_RAD_S: Final = math.radians(6.0)
 _HELD_S: Final = 2.0
 _TURNS_PER_AXIS: Final = 2
 _PUSHED: Final = 0.05
-_ALIKE_RAD: Final = math.radians(10.0)
 
 
 @dataclass(frozen=True, slots=True)

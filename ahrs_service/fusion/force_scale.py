@@ -13,6 +13,7 @@ import math
 from typing import Final
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.fusion import zero_velocity
 from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Record
 
@@ -70,5 +71,4 @@ def learn(settings: Record, state: Record, airframe: int, dt_s: float) -> None:
     change = 1.0 + k * (STANDARD_GRAVITY_M_S2 / norm - 1.0)
     state["force_scale"] *= change
     state["force_scale_variance"] = (1.0 - k) * variance
-    for i in range(3):
-        force[i] *= change
+    zero_velocity.rescale_force(state, change)

@@ -15,7 +15,6 @@ from ahrs_service.simulation.reference import ReferenceTrack
 from ahrs_service.simulation.retrace import Surroundings, retrace
 from ahrs_service.simulation.scenario import Flight
 
-_LONGEST_TURN_RAD: Final = 1.0
 _SHORTEST_S: Final = 2.0
 
 

@@ -26,10 +26,11 @@ from ahrs_service.records import SAMPLE_DTYPE, Airframe, Floats, ImuSource, Rows
 from ahrs_service.rotation import inverse_columns, quaternion_columns, rotate_columns
 from ahrs_service.sensor.noise import TriadNoise, gauss_markov, sensor_noise
 from ahrs_service.settings import AirframeSettings, FusionSettings, Settings
-from ahrs_service.simulation.air_resistance import attitude_of_rate, pushed_force
 from ahrs_service.simulation.phases import CRUISE_M_S, Channel, command_curves
 from ahrs_service.simulation.scenario import SCENARIOS
 from ahrs_service.simulation.spline import UniformSpline
+
+from .air_resistance import attitude_of_rate, pushed_force
 
 RATE_HZ: Final = 100.0
 FINE: Final = 4

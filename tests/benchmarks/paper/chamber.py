@@ -20,7 +20,8 @@ from ahrs_service.records import Floats, Integers
 from ahrs_service.sensor.forward import forward_columns
 from ahrs_service.sensor.noise import TriadNoise, first_order, sensor_noise
 from ahrs_service.sensor.parameters import Calibration, coefficients
-from ahrs_service.simulation.thermal_parts import ROOM_DEGC, draw_unit
+
+from .thermal_parts import ROOM_DEGC, draw_unit
 
 Booleans = npt.NDArray[np.bool_]
 

@@ -8,8 +8,8 @@ import pytest
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.sensor.noise import TriadNoise
-from ahrs_service.simulation.chamber import MOUNTING_RAD, RATE_RAD_S, Bench, Unit, draw
-from ahrs_service.simulation.thermal_parts import (
+from tests.benchmarks.paper.chamber import MOUNTING_RAD, RATE_RAD_S, Bench, Unit, draw
+from tests.benchmarks.paper.thermal_parts import (
     ACCELS,
     GYROS,
     ROOM_DEGC,

@@ -1,7 +1,7 @@
 """The paper's comparison on the simulated bench: conventional, improved and smooth calibration.
 
 All get the same chamber run; improved and smooth also the room table's six positions. What each
-leaves is judged by a run of its own (simulation.chamber).
+leaves is judged by a run of its own (chamber).
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,6 @@ import numpy as np
 
 from ahrs_service.calibration.thermal.records import matrix_rows
 from ahrs_service.calibration.thermal.rows import ThermalRows
-from ahrs_service.calibration.thermal.segmented import fit_conventional, fit_improved
 from ahrs_service.calibration.thermal.smooth import (
     SmoothFit,
     fit_curves,
@@ -24,8 +23,10 @@ from ahrs_service.records import Floats, Integers
 from ahrs_service.sensor.compensation import compensate_columns
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration, coefficients
 from ahrs_service.sensor.thermometer import acting_columns
-from ahrs_service.simulation.chamber import SAMPLE_HZ, Holds, draw
-from ahrs_service.simulation.thermal_parts import ROOM_DEGC
+
+from .chamber import SAMPLE_HZ, Holds, draw
+from .segmented import fit_conventional, fit_improved
+from .thermal_parts import ROOM_DEGC
 
 METHODS: Final = (
     "none",

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ahrs_service.viz.thermal_figure import draw_residuals
+from tests.benchmarks.paper.residual_figure import draw_residuals
 
 
 def test_the_picture_is_drawn_and_small(tmp_path):

@@ -11,8 +11,8 @@ import math
 import numpy as np
 import pytest
 
-from ahrs_service.calibration.thermal.comparison import calibrate_bench, residuals
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from tests.benchmarks.paper.comparison import calibrate_bench, residuals
 
 MILLI_G = 1e-3 * STANDARD_GRAVITY_M_S2
 

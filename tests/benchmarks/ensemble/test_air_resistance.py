@@ -7,7 +7,7 @@ import pytest
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.rotation import rotate_columns
-from ahrs_service.simulation.air_resistance import attitude_of_rate, pushed_force
+from tests.benchmarks.ensemble.air_resistance import attitude_of_rate, pushed_force
 
 STEP_S = 1e-3
 DOWN = np.array([0.0, 0.0, STANDARD_GRAVITY_M_S2])

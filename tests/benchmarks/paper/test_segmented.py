@@ -5,9 +5,9 @@ import pytest
 
 from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.thermal.rows import ThermalRows
-from ahrs_service.calibration.thermal.segmented import fit_conventional, fit_improved
 from ahrs_service.sensor.compensation import compensate_columns
 from ahrs_service.sensor.parameters import Calibration, coefficients
+from tests.benchmarks.paper.segmented import fit_conventional, fit_improved
 
 ROOM = 25.0
 MATRIX = np.array([[1.01, 0.002, 0.0], [0.0, 0.99, 0.001], [0.003, 0.0, 1.02]])
