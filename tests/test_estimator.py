@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ahrs_service.estimator import Estimator, StateError
-from ahrs_service.links.mavlink.readings import recording_from_tlog
+from ahrs_service.links.logs.readings import recording_from_tlog
 from ahrs_service.records import READING_DTYPE, Kind, Phase, empty
 from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.settings import GateSettings, IntakeSettings, Settings

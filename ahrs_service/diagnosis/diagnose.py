@@ -18,7 +18,7 @@ from ahrs_service.diagnosis.judgement.beside_truth import Truth, beside_truth
 from ahrs_service.diagnosis.judgement.explain import explanation
 from ahrs_service.diagnosis.judgement.held_out_gain import free_run, held_out
 from ahrs_service.diagnosis.judgement.uncertainty import variances
-from ahrs_service.diagnosis.noise_model.whiteness import whiteness
+from ahrs_service.diagnosis.judgement.whiteness import whiteness
 from ahrs_service.diagnosis.result import (
     Diagnosis,
     Estimated,

@@ -8,13 +8,13 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from ahrs_service.links.component.unit_request import unit_name
-from ahrs_service.links.component.vehicle_trim import trim_notes, trim_of_parameter
 from ahrs_service.links.errors import RecordingError
 from ahrs_service.links.logs.dataflash_tables import DataFlashFile, read_tables
 from ahrs_service.links.logs.recording import AttitudeReference, Recording, own_readings
 from ahrs_service.links.logs.satellite_clock import clock_rate
 from ahrs_service.links.mavlink.gps_velocity import LEAST_FIX, velocity_columns
+from ahrs_service.links.mavlink.unit_name import unit_name
+from ahrs_service.links.mavlink.vehicle_trim import trim_notes, trim_of_parameter
 from ahrs_service.records import READING_DTYPE, ImuSource, Kind, Rows, empty
 from ahrs_service.rotation import quaternion_columns
 

@@ -9,9 +9,9 @@ from typing import Final
 
 from pyulog import ULog
 
-from ahrs_service.links.component.parameter_values import ARDUPILOT, PX4, decode, param_name
 from ahrs_service.links.errors import RecordingError
 from ahrs_service.links.logs.dataflash_tables import read_tables
+from ahrs_service.links.logs.parameter_values import ARDUPILOT, PX4, decode, param_name
 from ahrs_service.links.logs.recording_formats import KNOWN
 from ahrs_service.links.logs.tlog import TlogFile, read_tlog
 from ahrs_service.links.mavlink.codec import dialect

@@ -11,7 +11,7 @@ from ahrs_service.links.logs.recording import Recording
 Reader = Callable[[Path, Callable[[float], None] | None], Recording]
 
 READERS: Final = {
-    ".tlog": "ahrs_service.links.mavlink.readings:recording_from_tlog",
+    ".tlog": "ahrs_service.links.logs.readings:recording_from_tlog",
     ".ulg": "ahrs_service.links.logs.ulog:read_ulog",
     ".bin": "ahrs_service.links.logs.dataflash:read_dataflash",
 }

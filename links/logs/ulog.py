@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 from pyulog import ULog
 
-from ahrs_service.links.component.unit_request import unit_name
 from ahrs_service.links.errors import RecordingError
 from ahrs_service.links.logs.recording import AttitudeReference, Recording, own_readings
 from ahrs_service.links.mavlink.gps_velocity import LEAST_FIX
+from ahrs_service.links.mavlink.unit_name import unit_name
 from ahrs_service.records import READING_DTYPE, ImuSource, Kind, Rows, empty
 
 Floats = npt.NDArray[np.float64]

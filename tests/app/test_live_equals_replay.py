@@ -19,10 +19,10 @@ from ahrs_service.app.files.config_file import to_json
 from ahrs_service.app.replay.replay_log import replay_log
 from ahrs_service.estimator import Estimator, StateError
 from ahrs_service.intake import STATE_DTYPE as INTAKE_STATE
+from ahrs_service.links.logs.readings import recording_from_tlog
 from ahrs_service.links.logs.session_marks import MarkKind, mark_messages
 from ahrs_service.links.logs.tlog import read_tlog
 from ahrs_service.links.mavlink.codec import Decoder, Encoder, dialect
-from ahrs_service.links.mavlink.readings import recording_from_tlog
 from ahrs_service.links.mavlink.signing import Signer, key_from_text
 from ahrs_service.pipeline import STATE_DTYPE as PIPELINE_STATE
 from ahrs_service.records import Gate, Phase

@@ -9,9 +9,9 @@ from ahrs_service.app.prove import command as prove
 from ahrs_service.app.prove.blind_files import write_case
 from ahrs_service.app.prove.blind_rivals import Answer
 from ahrs_service.app.prove.blind_tables import share
-from ahrs_service.blind.case import Request, make
-from ahrs_service.blind.held_out_score import gain_share, modelled
-from ahrs_service.blind.scoring import Rate
+from ahrs_service.blind.judging.held_out_score import gain_share, modelled
+from ahrs_service.blind.judging.scoring import Rate
+from ahrs_service.blind.making.case import Request, make
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ahrs_service.blind.baselines import (
+from ahrs_service.blind.judging.baselines import (
     ALARM,
     _descend,
     _Moments,
@@ -11,7 +11,7 @@ from ahrs_service.blind.baselines import (
     stepwise_bic,
     stepwise_f,
 )
-from ahrs_service.blind.naive import Regression
+from ahrs_service.blind.judging.naive import Regression
 
 COUNT = 2000
 

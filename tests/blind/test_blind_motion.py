@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ahrs_service.blind.motion import table_path
-from ahrs_service.blind.vehicles import fixed_wing, multirotor
+from ahrs_service.blind.making.motion import table_path
+from ahrs_service.blind.making.vehicles import fixed_wing, multirotor
 
 STEP_S = 0.0005
 G = 9.80665

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 
-from ahrs_service.blind.case import Request, make
-from ahrs_service.blind.noise import ENCODER, NoiseLaw, Wander
-from ahrs_service.blind.oracle import LEVEL_NATS, gain, share_of_gain
+from ahrs_service.blind.making.case import Request, make
+from ahrs_service.blind.making.noise import ENCODER, NoiseLaw, Wander
+from ahrs_service.blind.making.oracle import LEVEL_NATS, gain, share_of_gain
 
 RATE_HZ = 10.0
 

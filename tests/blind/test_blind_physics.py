@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from ahrs_service.blind.case import Request, make
-from ahrs_service.blind.catalogue import HIDEABLE
-from ahrs_service.blind.motion_physics import filtered, place_acceleration
-from ahrs_service.blind.outside_physics import OUTSIDE
-from ahrs_service.blind.surroundings import lag
-from ahrs_service.blind.thermal_physics import hysteresis_state, play
+from ahrs_service.blind.making.case import Request, make
+from ahrs_service.blind.making.catalogue import HIDEABLE
+from ahrs_service.blind.making.motion_physics import filtered, place_acceleration
+from ahrs_service.blind.making.outside_physics import OUTSIDE
+from ahrs_service.blind.making.surroundings import lag
+from ahrs_service.blind.making.thermal_physics import hysteresis_state, play
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ahrs_service.blind.scoring import Rate, judge, score
+from ahrs_service.blind.judging.scoring import Rate, judge, score
 
 NULL = {"kind": "flight", "level": 1, "effects": []}
 

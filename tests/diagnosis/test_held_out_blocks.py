@@ -2,7 +2,7 @@
 
 from ahrs_service.app.diagnose.recorded_columns import read_columns
 from ahrs_service.app.prove.blind_files import case_bytes
-from ahrs_service.blind.case import Request, make
+from ahrs_service.blind.making.case import Request, make
 from ahrs_service.diagnosis.diagnose import diagnose
 
 

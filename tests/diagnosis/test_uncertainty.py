@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ahrs_service.diagnosis.hypotheses.candidates import Term
+from ahrs_service.diagnosis.hypotheses.likelihood import Posterior, fit, fit_noise
 from ahrs_service.diagnosis.hypotheses.model import Model
 from ahrs_service.diagnosis.judgement.uncertainty import (
     CHOSEN,
@@ -14,7 +15,6 @@ from ahrs_service.diagnosis.judgement.uncertainty import (
     variances,
 )
 from ahrs_service.diagnosis.noise_model.kalman import whiten_channel
-from ahrs_service.diagnosis.noise_model.likelihood import Posterior, fit, fit_noise
 from ahrs_service.effects.catalogue import EFFECTS
 
 STEP_S, TIME_S = 1.0, 30.0

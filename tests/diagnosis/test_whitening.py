@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from ahrs_service.diagnosis.hypotheses.likelihood import solve
 from ahrs_service.diagnosis.noise_model.flight_filter import STATES, flight_gains, whiten_flight
 from ahrs_service.diagnosis.noise_model.kalman import whiten_channel
-from ahrs_service.diagnosis.noise_model.likelihood import solve
 
 
 def dense_likelihood(covariance, rows):

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ahrs_service.links.component.parameter_values import rounded
 from ahrs_service.links.errors import ParamFileError
 from ahrs_service.links.logs.param_files import (
     INT32,
@@ -14,6 +13,7 @@ from ahrs_service.links.logs.param_files import (
     read_param_file,
     write_param_file,
 )
+from ahrs_service.links.logs.parameter_values import rounded
 
 NAMES = st.from_regex(r"[A-Z][A-Z0-9_]{0,15}", fullmatch=True)
 FLOATS = st.floats(width=32, allow_nan=False, allow_infinity=False)

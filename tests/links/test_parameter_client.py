@@ -10,7 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ahrs_service.links.component.parameter_client import ParameterClient
-from ahrs_service.links.component.parameter_values import (
+from ahrs_service.links.errors import ParamError
+from ahrs_service.links.logs.param_files import INT32, REAL32, ParamValue
+from ahrs_service.links.logs.parameter_values import (
     ARDUPILOT,
     PX4,
     decode,
@@ -18,8 +20,6 @@ from ahrs_service.links.component.parameter_values import (
     param_name,
     rounded,
 )
-from ahrs_service.links.errors import ParamError
-from ahrs_service.links.logs.param_files import INT32, REAL32, ParamValue
 from ahrs_service.links.mavlink.codec import dialect
 from ahrs_service.links.simulated.autopilot_parameters import (
     AutopilotParameters,

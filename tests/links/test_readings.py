@@ -8,9 +8,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from ahrs_service.links.logs.readings import RULES, from_message, from_tables
 from ahrs_service.links.logs.tlog import read_tlog, tlog_record
 from ahrs_service.links.mavlink.codec import Decoder, Encoder, dialect
-from ahrs_service.links.mavlink.readings import RULES, from_message, from_tables
 from ahrs_service.records import READING_DTYPE, ImuSource, Kind, Rows, empty
 from tests.links.messages import (
     AUTOPILOT,

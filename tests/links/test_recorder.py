@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from ahrs_service.links.logs.recorder import Recorder
-from ahrs_service.links.logs.tlog import TlogFile, read_tlog, strip_signature
+from ahrs_service.links.logs.tlog import TlogFile, read_tlog
 from ahrs_service.links.mavlink.codec import Encoder, dialect
+from ahrs_service.links.mavlink.frames import strip_signature
 from ahrs_service.links.mavlink.signing import Signer
 
 FIRST_US = 1_700_000_000_000_000

@@ -15,8 +15,9 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from ahrs_service.links.errors import RecordingError
-from ahrs_service.links.logs.tlog import TlogFile, read_tlog, strip_signature, tlog_record
+from ahrs_service.links.logs.tlog import TlogFile, read_tlog, tlog_record
 from ahrs_service.links.mavlink.codec import Encoder, dialect
+from ahrs_service.links.mavlink.frames import strip_signature
 from ahrs_service.links.mavlink.layouts import table_dtype
 
 START_US = 1_700_000_000_000_000

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from ahrs_service.links.errors import RecordingError
+from ahrs_service.links.logs.readings import recording_from_tlog
 from ahrs_service.links.logs.session_marks import MarkKind, mark_messages
 from ahrs_service.links.logs.tlog import tlog_record
-from ahrs_service.links.mavlink.readings import recording_from_tlog
 from ahrs_service.records import Kind
 from tests.links.messages import (
     AUTOPILOT,

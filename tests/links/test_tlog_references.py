@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ahrs_service.links.logs.readings import recording_from_tlog
 from ahrs_service.links.mavlink.codec import Encoder, dialect
-from ahrs_service.links.mavlink.readings import recording_from_tlog
 from ahrs_service.records import ImuSource
 from ahrs_service.rotation import quaternion_columns
 from tests.links.messages import (

@@ -4,9 +4,10 @@ import itertools
 
 import pytest
 
-from ahrs_service.links.component.unit_request import ATTEMPTS, UnitRequest, unit_name
+from ahrs_service.links.component.unit_request import ATTEMPTS, UnitRequest
 from ahrs_service.links.logs.recording_formats import read_recording
 from ahrs_service.links.mavlink.codec import dialect
+from ahrs_service.links.mavlink.unit_name import unit_name
 from ahrs_service.settings import SensorSettings, Settings
 
 NUMBER = dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION

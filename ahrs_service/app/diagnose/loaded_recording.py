@@ -25,10 +25,10 @@ from ahrs_service.app.diagnose.loaded_covariates import (
 from ahrs_service.diagnosis.input.diagnosis_input import Recorded, Series
 from ahrs_service.links.errors import RecordingError
 from ahrs_service.links.logs.dataflash_tables import read_tables
+from ahrs_service.links.logs.readings import from_tables, recording_of
 from ahrs_service.links.logs.recording import AttitudeReference, Recording
 from ahrs_service.links.logs.recording_formats import read_recording
 from ahrs_service.links.logs.tlog import read_tlog
-from ahrs_service.links.mavlink.readings import from_tables, recording_of
 from ahrs_service.records import Floats, ImuSource, Kind, Rows
 from ahrs_service.rotation import quaternion_columns, rotate_columns
 

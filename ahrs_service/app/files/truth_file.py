@@ -1,11 +1,11 @@
 """The truth of a recording, NAME.truth.json of ../shared/mismatch, as an oracle takes it."""
 
+import json
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from ahrs_service.app.prove.blind_files import read_truth
 from ahrs_service.diagnosis.input.diagnosis_input import Recorded
 from ahrs_service.diagnosis.judgement.beside_truth import Truth
 from ahrs_service.effects.base import Effect, Values
@@ -16,6 +16,19 @@ _LENGTH_SHARE: Final = 0.05
 _RATE_SHARE: Final = 0.2
 _NOTHING: Final = "none"
 _OUTSIDE: Final = "unknown"
+
+
+def read_truth(path: Path) -> dict[str, Any]:
+    """Read a truth file; RecordingError says what is wrong with it."""
+    try:
+        truth = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RecordingError(f"{path}: {error.strerror}; check the path of the truth") from error
+    except ValueError as error:
+        raise RecordingError(f"{path}: {error}; a truth is JSON beside its .tlog") from error
+    if not isinstance(truth, dict) or not {"kind", "level", "effects"} <= truth.keys():
+        raise RecordingError(f"{path}: no kind, level and effects; see shared mismatch cases")
+    return truth
 
 
 def read(path: Path, recorded: Recorded) -> Truth:

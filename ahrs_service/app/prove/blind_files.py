@@ -5,8 +5,8 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
-from ahrs_service.blind.case import Case
-from ahrs_service.blind.messages import tables
+from ahrs_service.blind.making.case import Case
+from ahrs_service.blind.making.messages import tables
 from ahrs_service.links.errors import RecordingError
 from ahrs_service.links.mavlink.frame_columns import MessageColumns, tlog_bytes
 
@@ -40,19 +40,6 @@ def seal(truths: Path) -> str:
     for path in sorted(truths.glob(f"*{TRUTH_SUFFIX}")):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
-
-
-def read_truth(path: Path) -> dict[str, Any]:
-    """Read a truth file; RecordingError says what is wrong with it."""
-    try:
-        truth = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise RecordingError(f"{path}: {error.strerror}; check the path of the truth") from error
-    except ValueError as error:
-        raise RecordingError(f"{path}: {error}; a truth is JSON beside its .tlog") from error
-    if not isinstance(truth, dict) or not {"kind", "level", "effects"} <= truth.keys():
-        raise RecordingError(f"{path}: no kind, level and effects; see shared mismatch cases")
-    return truth
 
 
 def truths_of(folder: Path) -> Path:

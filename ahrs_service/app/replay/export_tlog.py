@@ -9,12 +9,12 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 
 from ahrs_service.links.component.attitude_messages import Publisher
-from ahrs_service.links.component.vehicle_trim import TRIM_NAMES
+from ahrs_service.links.logs.readings import from_tables
 from ahrs_service.links.logs.recording import AttitudeReference, Recording
 from ahrs_service.links.logs.tlog import TlogFile, read_tlog, tlog_record
 from ahrs_service.links.mavlink.codec import Encoder, dialect
 from ahrs_service.links.mavlink.frames import STAMP_BYTES
-from ahrs_service.links.mavlink.readings import from_tables
+from ahrs_service.links.mavlink.vehicle_trim import TRIM_NAMES
 from ahrs_service.records import Integers, Kind, Phase, Rows
 from ahrs_service.rotation import euler_columns
 from ahrs_service.settings import Settings

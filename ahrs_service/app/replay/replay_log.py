@@ -13,11 +13,11 @@ from ahrs_service.app.files.calibration_choice import NONE, CalibrationShelf
 from ahrs_service.app.replay.summary import Summary, summarise
 from ahrs_service.estimator import Estimator, StateError
 from ahrs_service.links.errors import RecordingError
+from ahrs_service.links.logs.readings import from_tables
 from ahrs_service.links.logs.recording import Recording
 from ahrs_service.links.logs.recording_formats import read_recording
 from ahrs_service.links.logs.session_marks import Mark, MarkKind, read_marks
 from ahrs_service.links.logs.tlog import read_tlog
-from ahrs_service.links.mavlink.readings import from_tables
 from ahrs_service.records import ESTIMATE_DTYPE, Integers, Kind, Rows, empty
 from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.settings import SensorSettings, Settings

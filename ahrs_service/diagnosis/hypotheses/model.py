@@ -13,8 +13,8 @@ from ahrs_service.diagnosis.hypotheses.candidates import (
     sources,
     unit_response,
 )
+from ahrs_service.diagnosis.hypotheses.likelihood import fit, fit_noise
 from ahrs_service.diagnosis.input.misfit import Noise, Residual, nuisance_rows
-from ahrs_service.diagnosis.noise_model.likelihood import fit, fit_noise
 from ahrs_service.effects.base import Addition, Columns, Effect, Parameter
 from ahrs_service.records import Floats
 

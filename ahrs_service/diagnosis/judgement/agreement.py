@@ -6,9 +6,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from ahrs_service.diagnosis.hypotheses.candidates import Dependence
+from ahrs_service.diagnosis.hypotheses.likelihood import solve
 from ahrs_service.diagnosis.hypotheses.model import Model, free_numbers
 from ahrs_service.diagnosis.input.misfit import Residual
-from ahrs_service.diagnosis.noise_model.likelihood import solve
 from ahrs_service.records import Floats
 
 _BLOCKS: Final = 12

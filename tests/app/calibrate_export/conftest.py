@@ -8,8 +8,8 @@ import pytest
 
 from ahrs_service.app import cli
 from ahrs_service.app.files import calibration_file
-from ahrs_service.links.component.parameter_values import ARDUPILOT, PX4
 from ahrs_service.links.logs.param_files import ParamValue
+from ahrs_service.links.logs.parameter_values import ARDUPILOT, PX4
 from ahrs_service.links.simulated.autopilot_parameters import (
     AutopilotParameters,
     ardupilot_ins,

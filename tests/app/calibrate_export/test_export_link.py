@@ -10,8 +10,8 @@ from ahrs_service.app.files import calibration_file
 from ahrs_service.app.simulate.command import LinkFlight
 from ahrs_service.calibration.autopilots.ardupilot_params import to_ardupilot
 from ahrs_service.calibration.autopilots.px4_params import to_px4
-from ahrs_service.links.component.parameter_values import ARDUPILOT, PX4, rounded
 from ahrs_service.links.logs.param_files import ParamValue, read_param_file
+from ahrs_service.links.logs.parameter_values import ARDUPILOT, PX4, rounded
 from ahrs_service.links.mavlink.codec import Decoder, Encoder
 from ahrs_service.links.mavlink.signing import Signer, key_from_text
 from ahrs_service.links.simulated.autopilot import SimulatedAutopilot

@@ -8,8 +8,8 @@ from ahrs_service.app.calibrate import parameter_change
 from ahrs_service.app.files import calibration_file
 from ahrs_service.calibration.autopilots.ardupilot_params import to_ardupilot
 from ahrs_service.links.component.parameter_client import ParameterClient
-from ahrs_service.links.component.parameter_values import ARDUPILOT, param_name
 from ahrs_service.links.logs.param_files import ParamValue
+from ahrs_service.links.logs.parameter_values import ARDUPILOT, param_name
 from ahrs_service.links.mavlink.codec import Encoder, dialect
 from tests.app.calibrate_export.conftest import autopilot, command, run, text_of, unit
 

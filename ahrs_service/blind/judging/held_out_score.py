@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from ahrs_service.blind.case import Case
-from ahrs_service.blind.oracle import share_of_gain
-from ahrs_service.blind.physics import Signals
-from ahrs_service.blind.surroundings import POWER_ON_S
+from ahrs_service.blind.making.case import Case
+from ahrs_service.blind.making.oracle import share_of_gain
+from ahrs_service.blind.making.physics import Signals
+from ahrs_service.blind.making.surroundings import POWER_ON_S
 from ahrs_service.effects.base import Columns, Effect, Values, apply
 from ahrs_service.effects.catalogue import EFFECTS
 

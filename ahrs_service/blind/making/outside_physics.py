@@ -5,8 +5,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from ahrs_service.blind.motion_physics import place_acceleration
-from ahrs_service.blind.physics import Draw, Hidden, Scene, Signals, axes, on
+from ahrs_service.blind.making.motion_physics import place_acceleration
+from ahrs_service.blind.making.physics import Draw, Hidden, Scene, Signals, axes, on
 from ahrs_service.records import Floats
 from ahrs_service.rotation import euler_columns
 

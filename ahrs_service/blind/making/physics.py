@@ -13,8 +13,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from ahrs_service.blind.motion import Motion, Path
-from ahrs_service.blind.surroundings import Surroundings
+from ahrs_service.blind.making.motion import Motion, Path
+from ahrs_service.blind.making.surroundings import Surroundings
 from ahrs_service.records import Floats
 
 Signals = tuple[Floats, Floats]

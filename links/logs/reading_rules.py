@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.links.component.vehicle_trim import trim_of_parameter
 from ahrs_service.links.mavlink.gps_velocity import velocity_of_raw_int
+from ahrs_service.links.mavlink.vehicle_trim import trim_of_parameter
 from ahrs_service.records import ImuSource, Kind
 
 _MG: Final = 1e-3 * STANDARD_GRAVITY_M_S2

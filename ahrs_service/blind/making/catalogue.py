@@ -2,9 +2,9 @@
 
 from typing import Final
 
-from ahrs_service.blind import motion_physics as motion
-from ahrs_service.blind import thermal_physics as thermal
-from ahrs_service.blind.physics import Draw
+from ahrs_service.blind.making import motion_physics as motion
+from ahrs_service.blind.making import thermal_physics as thermal
+from ahrs_service.blind.making.physics import Draw
 
 _ANY: Final = ("bench", "flight", "copter")
 _FLYING: Final = ("flight", "copter")

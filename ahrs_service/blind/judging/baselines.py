@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from ahrs_service.blind.naive import Regression
-from ahrs_service.blind.naming import report
+from ahrs_service.blind.judging.naive import Regression
+from ahrs_service.blind.making.naming import report
 from ahrs_service.records import Floats
 
 ALARM: Final = 0.02

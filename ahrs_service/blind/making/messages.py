@@ -5,9 +5,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from ahrs_service.blind.case import Case
-from ahrs_service.blind.noise import SHAKE_AXES
-from ahrs_service.blind.surroundings import POWER_ON_S
+from ahrs_service.blind.making.case import Case
+from ahrs_service.blind.making.noise import SHAKE_AXES
+from ahrs_service.blind.making.surroundings import POWER_ON_S
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.records import Floats, Integers
 from ahrs_service.rotation import euler_columns, multiply_columns

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from scipy.signal import lfilter
 
-from ahrs_service.blind.vehicles import Flight
+from ahrs_service.blind.making.vehicles import Flight
 from ahrs_service.records import Floats
 
 LAPSE_K_M: Final = 0.0065

@@ -11,15 +11,15 @@ import numpy as np
 import numpy.typing as npt
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.links.component.unit_request import unit_name
-from ahrs_service.links.component.vehicle_trim import trim_notes
 from ahrs_service.links.errors import RecordingError
+from ahrs_service.links.logs.reading_rules import ACCEL, GYRO, RULES, Conversion, Part, Rule
 from ahrs_service.links.logs.recording import Recording
 from ahrs_service.links.logs.references import attitude_references
 from ahrs_service.links.logs.session_marks import read_marks
 from ahrs_service.links.logs.tlog import Key, TlogFile, read_tlog
 from ahrs_service.links.mavlink.gps_velocity import course_is_doubtful, course_likeness
-from ahrs_service.links.mavlink.reading_rules import ACCEL, GYRO, RULES, Conversion, Part, Rule
+from ahrs_service.links.mavlink.unit_name import unit_name
+from ahrs_service.links.mavlink.vehicle_trim import trim_notes
 from ahrs_service.records import READING_DTYPE, Floats, ImuSource, Kind, Rows, empty
 
 _TIME_LIMIT_NS: Final = 2**63 - 1

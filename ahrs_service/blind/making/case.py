@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ahrs_service.blind.hiding import (
+from ahrs_service.blind.making.hiding import (
     Part,
     hide,
     hide_above,
@@ -13,11 +13,11 @@ from ahrs_service.blind.hiding import (
     silence,
     total,
 )
-from ahrs_service.blind.motion import Path, table_path
-from ahrs_service.blind.noise import NoiseLaw, Wander, draw_law, draw_shake, following
-from ahrs_service.blind.physics import Scene, Signals
-from ahrs_service.blind.surroundings import Surroundings, airborne, chamber
-from ahrs_service.blind.vehicles import fixed_wing, multirotor
+from ahrs_service.blind.making.motion import Path, table_path
+from ahrs_service.blind.making.noise import NoiseLaw, Wander, draw_law, draw_shake, following
+from ahrs_service.blind.making.physics import Scene, Signals
+from ahrs_service.blind.making.surroundings import Surroundings, airborne, chamber
+from ahrs_service.blind.making.vehicles import fixed_wing, multirotor
 from ahrs_service.records import Floats
 
 RATES_HZ: Final = {"bench": 100, "flight": 200, "copter": 200}

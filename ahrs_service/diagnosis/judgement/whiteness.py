@@ -5,9 +5,9 @@ from typing import Final
 import numpy as np
 from scipy.stats import chi2
 
+from ahrs_service.diagnosis.hypotheses.likelihood import fit
 from ahrs_service.diagnosis.hypotheses.model import Model
 from ahrs_service.diagnosis.input.misfit import Residual
-from ahrs_service.diagnosis.noise_model.likelihood import fit
 from ahrs_service.diagnosis.result import Whiteness
 from ahrs_service.records import Floats
 

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.blind.motion import KNOT_S, VehiclePath, knots, smooth, wobble
+from ahrs_service.blind.making.motion import KNOT_S, VehiclePath, knots, smooth, wobble
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.records import Floats
 

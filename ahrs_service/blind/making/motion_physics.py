@@ -5,7 +5,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
-from ahrs_service.blind.physics import Draw, Hidden, Scene, Signals, axes, linear, on
+from ahrs_service.blind.making.physics import Draw, Hidden, Scene, Signals, axes, linear, on
 from ahrs_service.records import Floats
 from ahrs_service.rotation import inverse_columns, rotate_columns
 

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ahrs_service.blind.physics import (
+from ahrs_service.blind.making.physics import (
     REFERENCE_DEGC,
     Draw,
     Hidden,
@@ -15,7 +15,7 @@ from ahrs_service.blind.physics import (
     linear,
     on,
 )
-from ahrs_service.blind.surroundings import POWER_ON_S, lag
+from ahrs_service.blind.making.surroundings import POWER_ON_S, lag
 from ahrs_service.records import Floats
 
 _NOMINAL: Final = {"gyro": 1.0, "accel": 30.0}

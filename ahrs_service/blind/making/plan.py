@@ -5,9 +5,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from ahrs_service.blind.case import CONTROLS, NULLS, Request
-from ahrs_service.blind.catalogue import HIDEABLE
-from ahrs_service.blind.outside_physics import OUTSIDE
+from ahrs_service.blind.making.case import CONTROLS, NULLS, Request
+from ahrs_service.blind.making.catalogue import HIDEABLE
+from ahrs_service.blind.making.outside_physics import OUTSIDE
 
 SECONDS: Final = {"bench": 400, "flight": 240, "copter": 200}
 """Usual length of a recording of each kind [s]."""

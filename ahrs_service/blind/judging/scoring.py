@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ahrs_service.blind.case import CONTROLS
+from ahrs_service.blind.making.case import CONTROLS
 
 Json = dict[str, Any]
 
