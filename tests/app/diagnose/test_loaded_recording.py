@@ -10,7 +10,7 @@ from ahrs_service.app.diagnose.recorded_columns import with_velocity
 from ahrs_service.links.errors import RecordingError
 from ahrs_service.simulation.scenario import make_flight
 
-FLIGHTS = Path(__file__).parents[3] / "shared" / "data" / "flights"
+FLIGHTS = Path(__file__).parents[4] / "shared" / "data" / "flights"
 
 
 def real(name):

@@ -24,7 +24,7 @@ from ahrs_service.links.logs.tlog import read_tlog
 from ahrs_service.simulation.pose_sequence import PoseSequence, Turn
 from ahrs_service.simulation.scenario import SCENARIOS, make_flight
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 COMMAND = [sys.executable, "-m", "ahrs_service.app.cli", "calibrate"]
 TIMEOUT_S = 180.0
 # Kernels compile on the first start of a fresh checkout, which takes a minute on a busy machine.

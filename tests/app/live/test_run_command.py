@@ -19,7 +19,7 @@ from ahrs_service.app.replay.replay_log import replay_log
 from ahrs_service.links.logs.tlog import read_tlog
 from ahrs_service.links.mavlink.codec import Decoder, Encoder, dialect
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 COMMAND = [sys.executable, "-m", "ahrs_service.app.cli"]
 TIMEOUT_S = 60.0
 

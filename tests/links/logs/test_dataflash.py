@@ -15,7 +15,7 @@ from ahrs_service.links.logs.dataflash_tables import DataFlashFile, read_tables
 from ahrs_service.links.logs.recording_formats import read_recording
 from ahrs_service.records import ImuSource, Kind
 from ahrs_service.rotation import matrix, quaternion_columns
-from tests.links.dataflash_records import IMU_FORMAT, fmt, imu
+from tests.links.logs.dataflash_records import IMU_FORMAT, fmt, imu
 
 LOGS = [
     "bench_cuavv5_2021-12-08.bin",

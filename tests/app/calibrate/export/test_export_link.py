@@ -17,7 +17,7 @@ from ahrs_service.links.mavlink.signing import Signer, key_from_text
 from ahrs_service.links.simulated.autopilot import SimulatedAutopilot
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration
 from ahrs_service.simulation.scenario import make_flight
-from tests.app.calibrate_export.conftest import autopilot, command, run, text_of, unit
+from tests.app.calibrate.export.conftest import autopilot, command, run, text_of, unit
 
 
 @pytest.mark.parametrize("kind", ["udpout", "serial"])

@@ -14,7 +14,7 @@ from ahrs_service.app.cli import main
 from ahrs_service.app.replay.replay_log import replay_log
 from ahrs_service.links.logs.tlog import read_tlog
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 TIMEOUT_S = 90.0
 
 

@@ -7,7 +7,7 @@ from ahrs_service.app.files import calibration_file
 from ahrs_service.calibration.autopilots.ardupilot_params import to_ardupilot
 from ahrs_service.links.logs.param_files import ParamValue, read_param_file
 from ahrs_service.sensor.provenance import Verdict
-from tests.app.calibrate_export.conftest import text_of, unit
+from tests.app.calibrate.export.conftest import text_of, unit
 
 
 def test_a_file_and_back_is_the_same_calibration_of_the_autopilot(folder, capsys):

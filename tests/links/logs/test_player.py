@@ -22,7 +22,7 @@ from ahrs_service.links.transport.link import LinkState
 from ahrs_service.links.transport.registry import open_link
 
 FIRST_US = 1_700_000_000_000_000
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def recorded(path: Path, stamps_us: list[int]) -> bytes:

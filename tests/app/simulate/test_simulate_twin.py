@@ -15,7 +15,7 @@ from ahrs_service.simulation.environment import battery_current_a
 from ahrs_service.simulation.imu import Imu, consumer_grade
 from ahrs_service.simulation.scenario import make_flight
 
-TWIN = Path(__file__).parents[2] / "configs" / "twins" / "small_autopilot.toml"
+TWIN = Path(__file__).parents[3] / "configs" / "twins" / "small_autopilot.toml"
 
 
 def with_effect(identifier, **values):

@@ -20,7 +20,7 @@ from ahrs_service.simulation.imu import consumer_grade
 from ahrs_service.simulation.scenario import fly_scenario, make_flight
 from ahrs_service.simulation.script import Script
 
-EXAMPLE_SCRIPT = Path(__file__).parents[2] / "configs" / "flights" / "warm_up_and_turns.toml"
+EXAMPLE_SCRIPT = Path(__file__).parents[3] / "configs" / "flights" / "warm_up_and_turns.toml"
 
 
 def test_the_written_flight_is_whole_and_the_same_each_time(simulated_tlog, tmp_path):

@@ -7,7 +7,7 @@ import pytest
 
 from ahrs_service.links.logs.dataflash import read_dataflash
 from ahrs_service.records import Kind
-from tests.links.dataflash_records import IMU_FORMAT, fmt, imu
+from tests.links.logs.dataflash_records import IMU_FORMAT, fmt, imu
 
 FIX_FORMAT = fmt(0x91, "GPS", "QBIHfff", "TimeUS,Status,GMS,GWk,Spd,GCrs,VZ")
 

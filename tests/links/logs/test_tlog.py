@@ -372,7 +372,7 @@ def test_the_uncompiled_scanner_finds_the_same_and_reads_nothing_beyond_the_end(
             capture_output=True,
             text=True,
             check=True,
-            cwd=Path(__file__).parents[2],
+            cwd=Path(__file__).parents[3],
             env={**os.environ, "NUMBA_DISABLE_JIT": switch},
         ).stdout
         for switch in ("0", "1")

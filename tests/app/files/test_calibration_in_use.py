@@ -24,7 +24,7 @@ from ahrs_service.settings import RecorderSettings, SensorSettings, Settings
 from ahrs_service.simulation.imu import consumer_grade
 from ahrs_service.simulation.scenario import make_flight
 
-SHIPPED = Path(__file__).resolve().parents[2] / "configs" / "calibrations"
+SHIPPED = Path(__file__).resolve().parents[3] / "configs" / "calibrations"
 UNIT = b"SIM-1"
 
 

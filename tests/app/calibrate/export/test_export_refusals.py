@@ -11,7 +11,7 @@ from ahrs_service.links.component.parameter_client import ParameterClient
 from ahrs_service.links.logs.param_files import ParamValue
 from ahrs_service.links.logs.parameter_values import ARDUPILOT, param_name
 from ahrs_service.links.mavlink.codec import Encoder, dialect
-from tests.app.calibrate_export.conftest import autopilot, command, run, text_of, unit
+from tests.app.calibrate.export.conftest import autopilot, command, run, text_of, unit
 
 
 def test_a_calibration_of_another_board_is_refused(live, folder, capsys):

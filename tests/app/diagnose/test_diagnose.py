@@ -11,7 +11,7 @@ from ahrs_service.app.diagnose.command import compensated
 from ahrs_service.app.diagnose.loaded_recording import load
 from ahrs_service.app.files import calibration_file, twin_file
 
-CASES = Path(__file__).parents[3] / "shared" / "mismatch" / "cases"
+CASES = Path(__file__).parents[4] / "shared" / "mismatch" / "cases"
 
 
 @pytest.fixture(scope="module")

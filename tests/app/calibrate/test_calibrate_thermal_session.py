@@ -6,8 +6,15 @@ import os
 import subprocess
 
 from ahrs_service.app.cli import main
-from tests.app.test_calibrate_session import COMMAND, ROOT, TIMEOUT_S, fly, free_port, until
-from tests.app.test_calibrate_thermal import warm_up
+from tests.app.calibrate.test_calibrate_session import (
+    COMMAND,
+    ROOT,
+    TIMEOUT_S,
+    fly,
+    free_port,
+    until,
+)
+from tests.app.calibrate.test_calibrate_thermal import warm_up
 
 
 def test_a_session_ends_at_the_span_and_finds_what_its_recording_says(tmp_path, capsys):

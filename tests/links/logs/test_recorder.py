@@ -211,7 +211,7 @@ def test_a_killed_process_leaves_whole_frames(tmp_path: Path) -> None:
     writer = subprocess.Popen(
         [sys.executable, "-c", WRITER, str(tmp_path / "log.tlog"), frame.hex()],
         stdout=subprocess.PIPE,
-        cwd=Path(__file__).resolve().parents[2],
+        cwd=Path(__file__).resolve().parents[3],
         env={**os.environ, "PYTHONPATH": "."},
     )
     assert writer.stdout is not None

@@ -18,7 +18,7 @@ from ahrs_service.sensor.parameters import Calibration, TriadCalibration
 from ahrs_service.sensor.provenance import Uncertainty, Verdict
 from ahrs_service.viz.calibration_curves import TIMELINE
 
-SHIPPED = Path(__file__).resolve().parents[2] / "configs" / "calibrations" / "sim-1.toml"
+SHIPPED = Path(__file__).resolve().parents[3] / "configs" / "calibrations" / "sim-1.toml"
 BREAKS = np.linspace(-40.0, 70.0, 23)
 
 

@@ -16,7 +16,7 @@ from ahrs_service.links.transport.link import Link, LinkState
 from ahrs_service.links.transport.registry import SCHEMES, open_link
 from ahrs_service.settings import Settings
 
-CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 
 
 def opened(uri: str) -> Link:
