@@ -17,6 +17,7 @@ import numpy as np
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.fusion import (
     alignment,
+    filter_state,
     force_scale,
     gating,
     gravity,
@@ -30,7 +31,7 @@ from ahrs_service.fusion import (
     velocity_constraints,
     zero_velocity,
 )
-from ahrs_service.fusion.states import ERROR_STATES, GYRO_BIAS
+from ahrs_service.fusion.states import GYRO_BIAS
 from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Airframe, Flag, Floats, Phase, Record, Rows
 from ahrs_service.sensor.compensation import compensate_sample
@@ -98,6 +99,7 @@ STATE_DTYPE: Final = np.dtype(
     [
         *timebase.TIME_FIELDS,
         *THERMOMETER_FIELDS,
+        *filter_state.FILTER_FIELDS,
         *mekf.MEKF_FIELDS,
         *alignment.ALIGNMENT_FIELDS,
         *gravity.GRAVITY_FIELDS,
@@ -108,21 +110,10 @@ STATE_DTYPE: Final = np.dtype(
         *velocity_constraints.MOTION_FIELDS,
         *ground_velocity.AIDING_FIELDS,
         *plausibility.PLAUSIBILITY_FIELDS,
-        ("ned_from_body", "f8", 4),
-        ("dcm", "f8", (3, 3)),
         ("gyro_rad_s", "f8", 3),
         ("accel_m_s2", "f8", 3),
-        ("rate_before_rad_s", "f8", 3),
-        ("gyro_bias_rad_s", "f8", 3),
-        ("accel_bias_m_s2", "f8", 3),
-        ("gyro_matrix", "f8", (3, 3)),
-        ("states", "i8"),
         ("attitude_sigma_rad", "f8", 3),
         ("gyro_bias_sigma_rad_s", "f8", 3),
-        ("covariance", "f8", (ERROR_STATES, ERROR_STATES)),
-        ("rate_rad_s", "f8", 3),
-        ("smooth_rate_rad_s", "f8", 3),
-        ("angular_acceleration_rad_s2", "f8", 3),
         ("phase", "i8"),
     ]
 )
@@ -344,7 +335,7 @@ def _move(
         accel[i] = accel[i] * state["force_scale"] - state["accel_bias_m_s2"][i]
     propagation.move(settings, state, airframe, gyro, accel, dt_s, flags)
     if flags & _GAP != 0:
-        state["rest_s"] = 0.0
+        zero_velocity.break_off(state)
         ground_velocity.break_off(state)
     elif flags & _ACCEL_MISSING == 0 and settings["use_velocity"] != 0:
         zero_velocity.follow(state, gyro, accel, dt_s, settings["gyro_rest_sigma_rad_s"])

@@ -7,8 +7,8 @@ from ahrs_service import intake
 from ahrs_service.adoption import NO_VEHICLE, first_vehicle, may_adopt, of_vehicle
 from ahrs_service.chosen_imu import choose_imu
 from ahrs_service.links.component.component import Component
+from ahrs_service.links.logs.readings import from_message
 from ahrs_service.links.mavlink.codec import Encoder, decode_frame, dialect
-from ahrs_service.links.mavlink.readings import from_message
 from ahrs_service.records import READING_DTYPE, SAMPLE_DTYPE, ImuSource, empty
 from ahrs_service.settings import IntakeSettings, Settings
 

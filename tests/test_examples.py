@@ -7,7 +7,7 @@ import pytest
 
 from ahrs_service.app.prove.blind_files import case_bytes
 from ahrs_service.app.simulate.command import RECORDED_RATES_HZ, write_tlog
-from ahrs_service.blind.case import Request, make
+from ahrs_service.blind.making.case import Request, make
 from ahrs_service.simulation.scenario import make_flight
 
 MODULES = (

@@ -16,7 +16,7 @@ from ahrs_service.app.cli import main
 from ahrs_service.app.diagnose.recorded_columns import read_columns
 from ahrs_service.app.files import config_file
 from ahrs_service.app.prove.blind_files import case_bytes
-from ahrs_service.blind.case import Request, make
+from ahrs_service.blind.making.case import Request, make
 from ahrs_service.diagnosis.input.diagnosis_input import Recorded, Series
 from ahrs_service.errors import ConfigError, DiagnosisError, InvalidValueError
 from ahrs_service.records import ESTIMATE_DTYPE, READING_DTYPE, SAMPLE_DTYPE, empty

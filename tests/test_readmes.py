@@ -30,8 +30,8 @@ from ahrs_service.fusion import (
 )
 from ahrs_service.links.component.component import _wanted
 from ahrs_service.links.component.parameters import PARAMETERS
+from ahrs_service.links.logs.reading_rules import RULES
 from ahrs_service.links.logs.recording_formats import READERS
-from ahrs_service.links.mavlink.reading_rules import RULES
 from ahrs_service.links.transport.registry import SCHEMES
 from ahrs_service.records import Flag, Gate, ImuSource, Phase
 from ahrs_service.sensor import thermometer

@@ -20,6 +20,8 @@ Span = tuple[float, float]
 
 CHANNELS: Final = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 """The columns of a residual [N, 6]: [rad/s] and [m/s^2]."""
+TRIADS: Final = ("gyro", "gyro", "gyro", "accel", "accel", "accel")
+"""The triad of each of them."""
 
 _AXES: Final = ("#E5484D", "#30A46C", "#3E7BFA")
 _BEFORE: Final = "#9AA0A6"
@@ -43,6 +45,8 @@ _STYLE: Final[Any] = {
 class Covariate(Protocol):
     """Residual of one channel against one covariate, in bins."""
 
+    @property
+    def triad(self) -> str: ...  # noqa: D102
     @property
     def channel(self) -> str: ...  # noqa: D102
     @property
@@ -78,9 +82,9 @@ def as_png(figure: Figure) -> bytes:
     return out.getvalue()
 
 
-def unit_of(channel: str) -> tuple[str, float]:
-    """Return the unit in which a channel is drawn, and the factor to it from SI."""
-    return ("mrad/s", 1e3) if channel.startswith("gyro") else ("m/s²", 1.0)
+def unit_of(triad: str) -> tuple[str, float]:
+    """Return the unit in which a triad's channels are drawn, and the factor to it from SI."""
+    return ("mrad/s", 1e3) if triad == "gyro" else ("m/s²", 1.0)
 
 
 def residual_over_time(
@@ -96,7 +100,7 @@ def residual_over_time(
         figure = Figure(figsize=(10.0, 4.4), layout="constrained")
         grid = figure.subplots(2, _COLUMNS, sharex=True, squeeze=False).ravel()
         for index, (channel, axes) in enumerate(zip(CHANNELS, grid, strict=True)):
-            unit, factor = unit_of(channel)
+            unit, factor = unit_of(TRIADS[index])
             t, old = _binned(time_s, before[:, index] * factor)
             _, new = _binned(time_s, after[:, index] * factor)
             for start, stop in spans:
@@ -129,7 +133,7 @@ def against_covariates(covariates: Sequence[Covariate]) -> Figure:
 
 
 def _against(axes: Axes, item: Covariate) -> None:
-    unit, factor = unit_of(item.channel)
+    unit, factor = unit_of(item.triad)
     is_angle = item.unit.startswith("rad")
     turn, along = (180.0 / math.pi if is_angle else 1.0), item.unit.replace("rad", "deg")
     middle = 0.5 * turn * (item.edges[1:] + item.edges[:-1])

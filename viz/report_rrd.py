@@ -10,7 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from ahrs_service.viz import entities
-from ahrs_service.viz.report_plots import CHANNELS, unit_of, words
+from ahrs_service.viz.report_plots import CHANNELS, TRIADS, unit_of, words
 
 Floats = npt.NDArray[np.float64]
 Span = tuple[float, float, str]
@@ -49,7 +49,7 @@ def write_report(
         )
     times = rr.TimeColumn(entities.TIMELINE, duration=time_s)
     for index, channel in enumerate(CHANNELS):
-        _, factor = unit_of(channel)
+        _, factor = unit_of(TRIADS[index])
         for kind, values, colour in (
             ("before", before, _BEFORE),
             ("after", after, _COLOURS[index % 3]),
@@ -99,11 +99,11 @@ def _blueprint(findings: list[str], pictures: list[str], axis: rrb.TimeAxis) -> 
     plots = [
         rrb.TimeSeriesView(
             origin=f"residual/{channel}",
-            name=f"{words(channel)} [{unit_of(channel)[0]}]: grey before, colour after",
+            name=f"{words(channel)} [{unit_of(triad)[0]}]: grey before, colour after",
             axis_x=axis,
             plot_legend=rrb.PlotLegend(visible=False),
         )
-        for channel in CHANNELS
+        for triad, channel in zip(TRIADS, CHANNELS, strict=True)
     ]
     views = [
         rrb.Spatial2DView(origin=f"pictures/{rr.escape_entity_path_part(name)}", name=name)

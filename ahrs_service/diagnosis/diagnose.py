@@ -12,13 +12,13 @@ from ahrs_service.diagnosis.hypotheses.score_test import surprise, unseen
 from ahrs_service.diagnosis.input.bench_misfit import BenchResidual
 from ahrs_service.diagnosis.input.diagnosis_input import Recorded
 from ahrs_service.diagnosis.input.flight_misfit import FlightResidual, is_flight
-from ahrs_service.diagnosis.input.misfit import CHANNELS, Residual
+from ahrs_service.diagnosis.input.misfit import Residual
 from ahrs_service.diagnosis.input.reference import reference_of
 from ahrs_service.diagnosis.judgement.beside_truth import Truth, beside_truth
 from ahrs_service.diagnosis.judgement.explain import explanation
 from ahrs_service.diagnosis.judgement.held_out_gain import free_run, held_out
 from ahrs_service.diagnosis.judgement.uncertainty import variances
-from ahrs_service.diagnosis.noise_model.whiteness import whiteness
+from ahrs_service.diagnosis.judgement.whiteness import whiteness
 from ahrs_service.diagnosis.result import (
     Diagnosis,
     Estimated,
@@ -118,12 +118,12 @@ def diagnose(
     )
     left = tuple(
         Unexplained(
-            _channels(name), _covariates(found.telling[name]), (), math.exp(-min(value, 700.0))
+            one.triad, one.triad, _covariates(found.telling[one]), (), math.exp(-min(value, 700.0))
         )
-        for name, value in found.unknown.items()
+        for one, value in found.unknown.items()
     )
     verdict = "unexplained" if left else "explained" if findings else "no_mismatch"
-    triad = findings[0].effect.split("_")[0] if findings else "gyro"
+    triad = findings[0].triad if findings else "gyro"
     whole = held_out(residual, found.bare, model, triad) if model.terms else None
     bar.enter(_JUDGED, 1.0)
     noise = dict(zip(residual.noise_names, np.exp(model.noise).tolist(), strict=True))
@@ -141,11 +141,6 @@ def diagnose(
         implausible=_implausible(library, model),
         oracle=None if truth is None else beside_truth(residual, found.bare, model, truth),
     )
-
-
-def _channels(name: str) -> str:
-    triad = name.split(" ", maxsplit=1)[0]
-    return triad if triad in ("gyro", "accel") else CHANNELS[0]
 
 
 def _covariates(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -171,6 +166,7 @@ def _finding(residual: Residual, found: Search, step: Step, place: int, known: F
     )
     return Finding(
         effect=term.effect.id,
+        triad=term.effect.triad,
         alike=alike,
         axes=axes,
         where=where,

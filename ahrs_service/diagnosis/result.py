@@ -55,9 +55,13 @@ class Holdout:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One effect that was left out; `alike` the ids that this recording cannot tell apart."""
+    """One effect that was left out: its id, and the triad it acts on ("imu" is both).
+
+    `alike` the ids that this recording cannot tell apart.
+    """
 
     effect: str
+    triad: str
     alike: tuple[str, ...]
     axes: tuple[str, ...]
     where: tuple[Where, ...]
@@ -72,8 +76,9 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Unexplained:
-    """Something real that no effect of the catalogue explains: `channel` as accel_z."""
+    """Something real that no effect of the catalogue explains: `channel` as accel_z, or accel."""
 
+    triad: str
     channel: str
     depends_on: tuple[str, ...]
     where: tuple[Where, ...]
@@ -142,6 +147,7 @@ class Covariate:
     alone gives it, `fitted` [B] what the findings explain. `p_value` of the whole dependence.
     """
 
+    triad: str
     channel: str
     covariate: str
     unit: str
@@ -213,7 +219,7 @@ def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "schema": SCHEMA,
         "verdict": diagnosis.verdict,
         "effects": [_finding(finding) for finding in diagnosis.findings],
-        "unexplained": [asdict(item) for item in diagnosis.unexplained],
+        "unexplained": [_unexplained(item) for item in diagnosis.unexplained],
         "not_observable": [asdict(item) for item in diagnosis.not_observable],
         "implausible": [asdict(item) for item in diagnosis.implausible],
         "holdout": held_out,
@@ -226,6 +232,10 @@ def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
             free_run = held_out["free_run_attitude_error_60s_deg"]
             free_run["oracle"] = diagnosis.oracle.free_run_deg
     return report
+
+
+def _unexplained(item: Unexplained) -> dict[str, Any]:
+    return {name: value for name, value in asdict(item).items() if name != "triad"}
 
 
 def _finding(finding: Finding) -> dict[str, Any]:

@@ -9,7 +9,16 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.fusion import force_scale, mekf, zero_velocity
+from ahrs_service.fusion import (
+    filter_state,
+    force_scale,
+    ground_velocity,
+    heading,
+    mekf,
+    propagation,
+    zero_velocity,
+)
+from ahrs_service.fusion.filter_state import HEADING_SIGMA_RAD
 from ahrs_service.fusion.states import (
     ACCEL_BIAS,
     ERROR_STATES,
@@ -34,8 +43,6 @@ ALIGNMENT_FIELDS: Final = [
 
 TILT_SIGMA_RAD: Final = 0.5
 """Of the attitude from one reading of a vehicle that may be moving [rad]."""
-HEADING_SIGMA_RAD: Final = math.pi
-"""Of a heading that nothing was known about [rad]."""
 MIN_SAMPLES: Final = 3
 """A choice: a mean and a spread need more than two, however short `alignment_s` is set."""
 REST_RATE_SPREAD_RAD_S: Final = 0.02
@@ -57,10 +64,7 @@ REST_BIAS_SIGMAS: Final = 2.0
 @kernel
 def forget_sensors(settings: Record, state: Record, airframe: int) -> None:
     """Know no more of the sensors than before the first sample; the attitude is kept."""
-    for i in range(3):
-        state["gyro_bias_rad_s"][i] = state["accel_bias_m_s2"][i] = 0.0
-        for j in range(3):
-            state["gyro_matrix"][i, j] = 0.0
+    filter_state.reset_sensors(state)
     if state["states"] > 0:
         _doubt_sensors(settings, state["covariance"], airframe)
 
@@ -86,30 +90,21 @@ def start(settings: Record, state: Record, airframe: int) -> None:
     """Forget attitude and velocity and begin to align; what was found of the sensors is kept."""
     p = state["covariance"]
     force_scale.start(settings, state, airframe)
-    for i in range(ERROR_STATES):
-        mekf.forget(p, i, 0.0)
-    p[0, 0] = p[1, 1] = TILT_SIGMA_RAD**2
-    p[2, 2] = HEADING_SIGMA_RAD**2
+    filter_state.reset(state, UNAIDED if settings["use_velocity"] != 0 else GATED)
+    for i in range(2):
+        mekf.forget(p, i, TILT_SIGMA_RAD**2)
+    mekf.forget(p, 2, HEADING_SIGMA_RAD**2)
     speed = max(
         settings["forward_speed_m_s"][airframe], settings["velocity_sigma_m_s"][airframe, 0]
     )
     for i in range(VELOCITY, VELOCITY + 3):
-        p[i, i] = speed**2
+        mekf.forget(p, i, speed**2)
     _doubt_sensors(settings, p, airframe)
+    ground_velocity.reset(state)
+    heading.take_source(state, heading.NONE)
     for i in range(3):
-        state["velocity_ned_m_s"][i] = 0.0
         state["gyro_sum_rad_s"][i] = 0.0
         state["gyro_square_sum"][i] = 0.0
-    for n in range(len(state["history_time_ns"])):
-        state["history_time_ns"][n] = 0
-    # Changes of velocity before were compared in axes that are now given up.
-    for i in range(len(state["match"])):
-        state["match"][i] = 0.0
-    state["course_doubted"] = 0
-    state["measured_new"] = 0
-    state["wind_ned_m_s"][0] = state["wind_ned_m_s"][1] = 0.0
-    state["heading_source"] = 0
-    state["states"] = UNAIDED if settings["use_velocity"] != 0 else GATED
     state["force_error_sum"] = 0.0
     state["aligned_samples"] = 0
     state["alignment_start_ns"] = state["time_ns"]
@@ -142,13 +137,7 @@ def is_sound(state: Record) -> bool:
         for i in range(3):
             sound = sound and abs(vector[i]) < math.inf
     if not sound:
-        for i in range(4):
-            q[i] = 1.0 if i == 0 else 0.0
-        state["velocity_lag_s"] = 0.0
-        for i in range(3):
-            state["gyro_bias_rad_s"][i] = state["accel_bias_m_s2"][i] = 0.0
-            for j in range(3):
-                state["gyro_matrix"][i, j] = 0.0
+        filter_state.clear(state)
     return bool(sound)
 
 
@@ -163,8 +152,7 @@ def first_attitude(
     force is gravity as it stands.
     """
     speed = _speed(settings, airframe)
-    for i in range(3):
-        state["rate_rad_s"][i] = gyro[i] - state["gyro_bias_rad_s"][i]
+    propagation.first_rate(state, gyro)
     # What rolls in place turns no path.
     if math.hypot(state["rate_rad_s"][1], state["rate_rad_s"][2]) < FLOWN_RATE_RAD_S:
         speed = 0.0
@@ -181,17 +169,9 @@ def first_attitude(
     roll = math.atan2(-across, -down)
     pitch = math.atan2(accel[0], math.sqrt(across * across + down * down))
     from_euler(roll, pitch, before[2], state["ned_from_body"])
-    dcm = state["dcm"]
-    matrix(state["ned_from_body"], dcm)
-    for i in range(3):
-        state["smooth_rate_rad_s"][i] = state["rate_rad_s"][i]
-        state["accel_before_m_s2"][i] = accel[i]
-        state["force_ned_m_s2"][i] = (
-            dcm[i, 0] * accel[0] + dcm[i, 1] * accel[1] + dcm[i, 2] * accel[2]
-        )
-        state["force_before_ned_m_s2"][i] = state["force_ned_m_s2"][i]
+    matrix(state["ned_from_body"], state["dcm"])
+    propagation.first_force(state, accel)
     zero_velocity.start(state, accel)
-    state["interval_before_s"] = 0.0
     state["aligned_samples"] = 1
     if speed > 0.0:
         _begin_in_flight(settings, state, airframe, speed)
@@ -268,21 +248,6 @@ def _take_rest_bias(settings: Record, state: Record, airframe: int) -> None:
         rest = rest and abs(mean) < largest and spread2 < REST_RATE_SPREAD_RAD_S**2
     if not rest:
         return
-    p = state["covariance"]
     for i in range(3):
         bias = state["gyro_sum_rad_s"][i] / count
-        state["applied"][GYRO_BIAS + i] += bias - state["gyro_bias_rad_s"][i]
-        state["gyro_bias_rad_s"][i] = bias
-        mekf.forget(p, GYRO_BIAS + i, REST_BIAS_SIGMA_RAD_S**2)
-
-
-@inlined_kernel
-def bound_attitude(p: Floats, states: int) -> None:
-    """Keep the attitude variances at what no knowledge at all means."""
-    for axis in range(3):
-        limit = HEADING_SIGMA_RAD**2
-        if p[axis, axis] > limit:
-            scale = math.sqrt(limit / p[axis, axis])
-            for j in range(states):
-                p[axis, j] *= scale
-                p[j, axis] *= scale
+        filter_state.set_gyro_bias(state, i, bias, REST_BIAS_SIGMA_RAD_S)

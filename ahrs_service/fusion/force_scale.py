@@ -74,5 +74,4 @@ def learn(settings: Record, state: Record, airframe: int, dt_s: float) -> None:
     change = 1.0 + k * (STANDARD_GRAVITY_M_S2 / norm - 1.0)
     state["force_scale"] *= change
     state["force_scale_variance"] = (1.0 - k) * variance
-    for i in range(3):
-        force[i] *= change
+    zero_velocity.rescale_force(state, change)

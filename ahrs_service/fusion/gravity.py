@@ -4,12 +4,11 @@ import math
 from typing import Final
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.fusion import gating, mekf
+from ahrs_service.fusion import filter_state, gating, mekf
 from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Flag, Floats, Gate, Phase, Record
 
 GRAVITY_FIELDS: Final = [
-    ("force_ned_m_s2", "f8", 3),
     ("gate_metrics", "f8", 4),
     ("tilt_innovation_rad", "f8", 2),
     ("gate", "i8"),
@@ -63,8 +62,8 @@ def judge(settings: Record, state: Record, airframe: int, dt_s: float, flags: in
         reasons = gating.innovation_reason(metrics[3], settings["gate_innovation_sigma"])
         if reasons != 0 and state["phase"] == _RUNNING:
             # Steady motion that contradicts the attitude: sooner or later the attitude is wrong.
-            p[0, 0] += DOUBT_RAD_RTS**2 * dt_s
-            p[1, 1] += DOUBT_RAD_RTS**2 * dt_s
+            for axis in range(2):
+                filter_state.widen(state, axis, DOUBT_RAD_RTS**2 * dt_s)
     state["gate"] = reasons
 
 

@@ -9,8 +9,8 @@ come is a state as well: v_measured(t) = v(t - lag), compared with the velocity 
 import math
 from typing import Final
 
-from ahrs_service.fusion import heading, mekf
-from ahrs_service.fusion.states import AIDED, ANGLE, ERROR_STATES, LAG, UNAIDED, VELOCITY, WIND
+from ahrs_service.fusion import filter_state, heading, mekf
+from ahrs_service.fusion.states import AIDED, ANGLE, LAG, VELOCITY, WIND
 from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Airframe, Record
 
@@ -20,8 +20,6 @@ Velocity = tuple[float, float, float]
 HISTORY: Final = 32
 """Turns that are remembered: 3.8 s."""
 AIDING_FIELDS: Final = [
-    ("wind_ned_m_s", "f8", 3),
-    ("velocity_lag_s", "f8"),
     ("measured_velocity_m_s", "f8", 3),
     ("measured_time_ns", "i8"),
     ("measured_new", "i8"),
@@ -128,11 +126,30 @@ def remember(state: Record) -> None:
 
 
 @kernel
-def break_off(state: Record) -> None:
-    """Forget what was remembered: over a gap nothing lies between, and the tilt must be found."""
+def _forget_history(state: Record) -> None:
     state["measured_new"] = 0
     for n in range(HISTORY):
         state["history_time_ns"][n] = 0
+
+
+@kernel
+def _forget_match(state: Record) -> None:
+    for i in range(len(state["match"])):
+        state["match"][i] = 0.0
+
+
+@kernel
+def reset(state: Record) -> None:
+    """Forget what was remembered and compared: it was in axes that are now given up."""
+    _forget_history(state)
+    _forget_match(state)
+    state["course_doubted"] = 0
+
+
+@kernel
+def break_off(state: Record) -> None:
+    """Forget what was remembered: over a gap nothing lies between, and the tilt must be found."""
+    _forget_history(state)
     if state["states"] == AIDED:
         _let_go(state)
 
@@ -141,23 +158,12 @@ def break_off(state: Record) -> None:
 def _let_go(state: Record) -> None:
     """Go on with the velocity through the air: that over ground without the wind."""
     mekf.settle(state)
-    p, velocity, wind = state["covariance"], state["velocity_ned_m_s"], state["wind_ned_m_s"]
     for i in range(2):
-        v, w = VELOCITY + i, WIND + i
-        for j in range(ERROR_STATES):
-            p[v, j] -= p[w, j]
-        for j in range(ERROR_STATES):
-            p[j, v] -= p[j, w]
-        velocity[i] -= wind[i]
         for n in range(HISTORY):
-            state["history_m_s"][i, n] -= wind[i]
-        wind[i] = 0.0
-    for i in range(UNAIDED, ERROR_STATES):
-        mekf.forget(p, i, 0.0)
-    for i in range(5):
-        state["match"][i] = 0.0
+            state["history_m_s"][i, n] -= state["wind_ned_m_s"][i]
+    filter_state.let_wind_go(state)
+    _forget_match(state)
     state["velocity_nis"] = 0.0
-    state["states"] = UNAIDED
 
 
 @kernel
@@ -240,32 +246,23 @@ def _take(state: Record, then: Velocity, later: Velocity, slope_per_s: float) ->
 def _begin(state: Record, heading_sigma_rad: float) -> None:
     """Bring the wind in: velocity over ground = velocity through the air + wind."""
     mekf.settle(state)
-    p = state["covariance"]
     if heading_sigma_rad > 0.0:
-        mekf.forget(p, ANGLE + 2, heading_sigma_rad**2)
-        state["heading_source"] = heading.VELOCITY
-    for i in range(2):
-        v, w = VELOCITY + i, WIND + i
-        mekf.forget(p, w, WIND_SIGMA_M_S**2)
-        state["wind_ned_m_s"][i] = 0.0
-        if state["at_rest"] == 0:
-            p[v, v] += WIND_SIGMA_M_S**2
-            p[v, w] = p[w, v] = WIND_SIGMA_M_S**2
-    mekf.forget(p, LAG, LAG_SIGMA_S**2)
+        mekf.forget(state["covariance"], ANGLE + 2, heading_sigma_rad**2)
+        heading.take_source(state, heading.VELOCITY)
+    filter_state.bring_wind_in(state, WIND_SIGMA_M_S, LAG_SIGMA_S, state["at_rest"] != 0)
     state["velocity_nis"] = 0.0
-    state["states"] = AIDED
 
 
 @kernel
 def _lose_heading(state: Record) -> None:
     """Go on without the measured velocity until it tells a heading that agrees with it."""
     _let_go(state)
-    state["heading_source"] = heading.NONE
+    heading.take_source(state, heading.NONE)
     state["course_doubted"] = 1
     mekf.forget(state["covariance"], ANGLE + 2, math.pi**2)
     for i in range(2):
         # An attitude that was pulled by what cannot be right is not as good as it thinks.
-        state["covariance"][i, i] += PULLED_RAD**2
+        filter_state.widen(state, i, PULLED_RAD**2)
 
 
 @kernel

@@ -78,6 +78,12 @@ OUTLIER_SIGMA: Final = 3.0
 
 
 @kernel
+def take_source(state: Record, source: int) -> None:
+    """Say where the heading comes from: NONE where it is lost, VELOCITY where that showed it."""
+    state["heading_source"] = source
+
+
+@kernel
 def first_heading(settings: Record, state: Record, mag: Floats) -> None:
     """Turn the aligned attitude to the azimuth of one reading [3] [uT], if it is plausible."""
     state["heading_source"] = NONE

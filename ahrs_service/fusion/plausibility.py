@@ -3,7 +3,7 @@
 from typing import Final
 
 from ahrs_service.fusion import timebase
-from ahrs_service.kernel import inlined_kernel
+from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Flag, Floats, Record
 
 _NOT_FINITE = int(Flag.NOT_FINITE)
@@ -60,6 +60,14 @@ def _find_unobserved(state: Record, raw: Floats, range_rad_s: float) -> bool:
             state["unobserved_s"][i] = 0.0
         found = found or blind[i] != 0
     return found
+
+
+@kernel
+def count_blind(state: Record, axis: int, dt_s: float) -> float:
+    """Count how long an axis is not known; return by how much the square of that grew [s^2]."""
+    before_s = state["unobserved_s"][axis]
+    state["unobserved_s"][axis] = before_s + dt_s
+    return float(dt_s * (2.0 * before_s + dt_s))
 
 
 @inlined_kernel

@@ -8,8 +8,8 @@ import math
 from typing import Final
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.fusion import mekf, strapdown
-from ahrs_service.fusion.alignment import bound_attitude
+from ahrs_service.fusion import mekf, plausibility, strapdown
+from ahrs_service.fusion.filter_state import bound_attitude
 from ahrs_service.fusion.states import (
     ACCEL_BIAS,
     AIDED,
@@ -35,18 +35,20 @@ PROPAGATION_FIELDS: Final = [
     ("update_velocity_variance", "f8"),
     ("update_bias_variance", "f8"),
     ("update_degc", "f8"),
+    ("rate_rad_s", "f8", 3),
+    ("rate_before_rad_s", "f8", 3),
     ("rate_earlier_rad_s", "f8", 3),
+    ("smooth_rate_rad_s", "f8", 3),
+    ("angular_acceleration_rad_s2", "f8", 3),
+    ("force_ned_m_s2", "f8", 3),
     ("accel_before_m_s2", "f8", 3),
     ("force_before_ned_m_s2", "f8", 3),
     ("force_now_ned_m_s2", "f8", 3),
     ("arc_force_m_s2", "f8", 3),
     ("interval_before_s", "f8"),
     ("unobserved_variance", "f8", 3),
-    ("applied", "f8", ERROR_STATES),
-    ("rotated_rad", "f8"),
 ]
-"""Fields of the pipeline's state that this module keeps; the last two: what was corrected since
-the covariance last grew, and how far all was turned about down [rad]."""
+"""Fields of the pipeline's state that this module keeps."""
 
 UPDATE_S: Final = 0.12
 """Corrections 8 times a second follow what drifts over seconds; shorter turns gain nothing."""
@@ -117,10 +119,8 @@ def move(
 def _count_unobserved(state: Record, dt_s: float) -> None:
     """Widen the angle about an axis whose rate is not known, and stays so: by time squared."""
     for i in range(3):
-        before_s = state["unobserved_s"][i]
         if state["gyro_is_unobserved"][i] != 0:
-            state["unobserved_s"][i] = before_s + dt_s
-            grown_s2 = dt_s * (2.0 * before_s + dt_s)
+            grown_s2 = plausibility.count_blind(state, i, dt_s)
             state["unobserved_variance"][i] += GAP_RATE_SIGMA_RAD_S**2 * grown_s2
 
 
@@ -262,6 +262,27 @@ def _warmed(state: Record, degc: float) -> float:
     change = abs(degc - state["update_degc"])
     state["update_degc"] = degc
     return 0.0 if math.isnan(change) else change
+
+
+@kernel
+def first_rate(state: Record, gyro: Floats) -> None:
+    """Take a first rate [3] [rad/s], with none before it."""
+    for i in range(3):
+        state["rate_rad_s"][i] = gyro[i] - state["gyro_bias_rad_s"][i]
+        state["smooth_rate_rad_s"][i] = state["rate_rad_s"][i]
+    state["interval_before_s"] = 0.0
+
+
+@kernel
+def first_force(state: Record, accel: Floats) -> None:
+    """Take a first specific force [3] [m/s^2] at the attitude there is, with none before it."""
+    dcm = state["dcm"]
+    for i in range(3):
+        state["accel_before_m_s2"][i] = accel[i]
+        state["force_ned_m_s2"][i] = (
+            dcm[i, 0] * accel[0] + dcm[i, 1] * accel[1] + dcm[i, 2] * accel[2]
+        )
+        state["force_before_ned_m_s2"][i] = state["force_ned_m_s2"][i]
 
 
 @kernel

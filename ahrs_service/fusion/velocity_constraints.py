@@ -23,7 +23,6 @@ from ahrs_service.kernel import inlined_kernel, kernel
 from ahrs_service.records import Airframe, Record
 
 MOTION_FIELDS: Final = [
-    ("velocity_ned_m_s", "f8", 3),
     ("airspeed_m_s", "f8"),
     ("airspeed_time_ns", "i8"),
 ]

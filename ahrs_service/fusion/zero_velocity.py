@@ -4,7 +4,7 @@ import math
 from typing import Final
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.fusion import ground_velocity, mekf
+from ahrs_service.fusion import filter_state, ground_velocity, mekf
 from ahrs_service.fusion.states import AIDED, GYRO_BIAS, VELOCITY
 from ahrs_service.fusion.velocity_constraints import airspeed_is_fresh
 from ahrs_service.kernel import inlined_kernel, kernel
@@ -68,6 +68,19 @@ def start(state: Record, accel: Floats) -> None:
     state["force_variance"] = START_DOUBT_M2_S4
 
 
+@kernel
+def break_off(state: Record) -> None:
+    """Count a rest anew: nobody saw what happened over a gap."""
+    state["rest_s"] = 0.0
+
+
+@kernel
+def rescale_force(state: Record, factor: float) -> None:
+    """Scale the mean force as all that is measured from here on."""
+    for i in range(3):
+        state["mean_force_m_s2"][i] *= factor
+
+
 @inlined_kernel
 def follow(state: Record, gyro: Floats, accel: Floats, dt_s: float, rate_sigma: float) -> None:
     """Follow mean and variance of rate and force; `rest_s` is how long all were those of rest."""
@@ -102,7 +115,7 @@ def come_to_rest(state: Record) -> bool:
         state["at_rest"] = 1 if at_rest else 0
         if state["states"] != AIDED:
             for i in range(2):
-                state["covariance"][VELOCITY + i, VELOCITY + i] += ground_velocity.WIND_SIGMA_M_S**2
+                filter_state.widen(state, VELOCITY + i, ground_velocity.WIND_SIGMA_M_S**2)
     return bool(at_rest)
 
 
@@ -138,7 +151,7 @@ def doubt_bias(state: Record, dt_s: float) -> None:
         n = GYRO_BIAS + i
         rate = state["mean_rate_rad_s"][i] - state["gyro_bias_rad_s"][i]
         if rate * rate > BIAS_GATE**2 * state["covariance"][n, n]:
-            state["covariance"][n, n] += rate * rate / BIAS_GATE**2 * dt_s
+            filter_state.widen(state, n, rate * rate / BIAS_GATE**2 * dt_s)
 
 
 @kernel

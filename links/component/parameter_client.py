@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from ahrs_service.adoption import may_adopt
-from ahrs_service.links.component.parameter_values import (
+from ahrs_service.links.logs.parameter_values import (
     ARDUPILOT,
     PX4,
     decode,
@@ -20,10 +20,8 @@ from ahrs_service.links.component.parameter_values import (
     param_name,
     rounded,
 )
-from ahrs_service.links.component.unit_request import unit_name, unit_request
-from ahrs_service.links.errors import ParamError
-from ahrs_service.links.logs.param_files import ParamValue
 from ahrs_service.links.mavlink.codec import Decoder, Encoder, Signer, dialect
+from ahrs_service.links.mavlink.unit_name import unit_name
 from ahrs_service.links.transport.link import Link, LinkState, Peer
 from ahrs_service.links.transport.registry import open_link
 

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from ahrs_service.errors import InvalidValueError
-from ahrs_service.links.component.parameter_values import param_name
+from ahrs_service.links.logs.parameter_values import param_name
 from ahrs_service.links.mavlink.codec import dialect
 from ahrs_service.settings import Settings
 

@@ -2,8 +2,8 @@
 
 from typing import Any, Final
 
-from ahrs_service.links.component.vehicle_trim import TRIM_NAMES
 from ahrs_service.links.mavlink.codec import dialect
+from ahrs_service.links.mavlink.vehicle_trim import TRIM_NAMES
 
 ANSWER_S: Final = 1.0
 ATTEMPTS: Final = 8

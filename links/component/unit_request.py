@@ -4,19 +4,9 @@ from typing import Any, Final
 
 from ahrs_service.links.component.trim_request import ANSWER_S, ATTEMPTS
 from ahrs_service.links.mavlink.codec import dialect
+from ahrs_service.links.mavlink.unit_name import unit_name
 
 _VERSION: Final = int(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-
-
-def unit_name(uid: int, uid2: bytes) -> str:
-    """Return the unit's number as hex digits: uid2 without the zeros that fill it up, else uid.
-
-    Empty where the autopilot tells neither.
-    """
-    number = uid2.rstrip(b"\0")
-    if number:
-        return number.hex()
-    return f"{uid:016x}" if uid else ""
 
 
 def unit_request(system: int, component: int) -> Any:

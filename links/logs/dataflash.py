@@ -9,13 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ahrs_service.adoption import Vehicle
-from ahrs_service.links.component.parameter_values import ARDUPILOT, param_name
-from ahrs_service.links.component.unit_request import unit_name
-from ahrs_service.links.component.vehicle_trim import trim_notes, trim_of_parameter
 from ahrs_service.links.errors import RecordingError
 from ahrs_service.links.logs.dataflash_covariates import dataflash_covariates
 from ahrs_service.links.logs.dataflash_instances import at_rate, clock_rate_of, table_of
 from ahrs_service.links.logs.dataflash_tables import DataFlashFile, read_tables
+from ahrs_service.links.logs.parameter_values import ARDUPILOT, param_name
 from ahrs_service.links.logs.recorded_parameters import ParameterHistory, RecordedParameters
 from ahrs_service.links.logs.recording import (
     OWN,
@@ -26,6 +24,8 @@ from ahrs_service.links.logs.recording import (
     own_readings,
 )
 from ahrs_service.links.mavlink.gps_velocity import LEAST_FIX, velocity_columns
+from ahrs_service.links.mavlink.unit_name import unit_name
+from ahrs_service.links.mavlink.vehicle_trim import trim_notes, trim_of_parameter
 from ahrs_service.records import READING_DTYPE, ImuSource, Kind, Rows, empty
 from ahrs_service.rotation import quaternion_columns
 

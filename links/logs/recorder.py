@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from ahrs_service.links.logs.tlog import strip_signature
-from ahrs_service.links.mavlink.frames import MARKER_V2, SIGNED
+from ahrs_service.links.mavlink.frames import MARKER_V2, SIGNED, strip_signature
 from ahrs_service.links.mavlink.signing import SETUP_SIGNING, message_id
 
 MB: Final = 1_000_000

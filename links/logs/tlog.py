@@ -21,7 +21,6 @@ from ahrs_service.links.mavlink.frames import (
     Bytes,
     Record,
     Rows,
-    flip_in_checksum,
     scan_tlog,
 )
 from ahrs_service.links.mavlink.layouts import decode_table, is_known, message_name
@@ -171,18 +170,3 @@ def _damage(data: Bytes, state: Record) -> dict[str, int]:
 def tlog_record(received_us: int, frame: bytes) -> bytes:
     """Return the bytes of one tlog entry: stamp [us] since 1970 and frame."""
     return _STAMP.pack(received_us) + frame
-
-
-def strip_signature(frame: bytes) -> bytes:
-    """Return a MAVLink frame without its signature block; unsigned ones as they are.
-
-    The checksum is linear in the bits of the frame, so that of the cleared flag follows without
-    knowing the message.
-    """
-    if frame[0] != MARKER_V2 or not frame[2] & SIGNED:
-        return frame
-    end = 10 + frame[1]
-    crc = int.from_bytes(frame[end : end + 2], "little")
-    crc ^= flip_in_checksum(SIGNED, end - 2)
-    head = bytes((frame[0], frame[1], frame[2] & ~SIGNED))
-    return head + frame[3:end] + crc.to_bytes(2, "little")

@@ -8,10 +8,9 @@ import numpy as np
 
 from ahrs_service.adoption import AUTOPILOT_INVALID, NO_VEHICLE, Vehicle, first_vehicle
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.links.component.parameter_values import decode, param_name
-from ahrs_service.links.component.unit_request import unit_name
-from ahrs_service.links.component.vehicle_trim import trim_notes
 from ahrs_service.links.errors import RecordingError
+from ahrs_service.links.logs.parameter_values import decode, param_name
+from ahrs_service.links.logs.readings import from_tables
 from ahrs_service.links.logs.recorded_parameters import (
     ParameterHistory,
     RecordedParameters,
@@ -23,7 +22,8 @@ from ahrs_service.links.logs.session_marks import read_marks
 from ahrs_service.links.logs.tlog import TlogFile, read_tlog
 from ahrs_service.links.logs.tlog_covariates import tlog_covariates
 from ahrs_service.links.mavlink.gps_velocity import course_is_doubtful, course_likeness
-from ahrs_service.links.mavlink.readings import from_tables
+from ahrs_service.links.mavlink.unit_name import unit_name
+from ahrs_service.links.mavlink.vehicle_trim import trim_notes
 from ahrs_service.records import ImuSource, Kind, Rows
 from ahrs_service.settings import IntakeSettings
 

@@ -316,3 +316,18 @@ def flip_in_checksum(flip: int, bytes_after: int) -> int:
     for _ in range(bytes_after):
         change = (change >> 8) ^ _CRC4[0, change & 0xFF]
     return int(change)
+
+
+def strip_signature(frame: bytes) -> bytes:
+    """Return a MAVLink frame without its signature block; unsigned ones as they are.
+
+    The checksum is linear in the bits of the frame, so that of the cleared flag follows without
+    knowing the message.
+    """
+    if frame[0] != MARKER_V2 or not frame[2] & SIGNED:
+        return frame
+    end = 10 + frame[1]
+    crc = int.from_bytes(frame[end : end + 2], "little")
+    crc ^= flip_in_checksum(SIGNED, end - 2)
+    head = bytes((frame[0], frame[1], frame[2] & ~SIGNED))
+    return head + frame[3:end] + crc.to_bytes(2, "little")

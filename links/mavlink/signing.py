@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from ahrs_service.links.errors import SigningError
-from ahrs_service.links.logs.tlog import strip_signature
 from ahrs_service.links.mavlink.frames import (
     MARKER_V1,
     MARKER_V2,
     SIGNATURE_BYTES,
     SIGNED,
     flip_in_checksum,
+    strip_signature,
 )
 
 HEADER_BYTES: Final = 10

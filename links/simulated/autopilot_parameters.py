@@ -10,7 +10,8 @@ import math
 from collections.abc import Mapping
 from typing import Any, Final
 
-from ahrs_service.links.component.parameter_values import (
+from ahrs_service.links.logs.param_files import INT32, REAL32, ParamValue, ParamValues
+from ahrs_service.links.logs.parameter_values import (
     ARDUPILOT,
     PX4,
     decode,
@@ -18,7 +19,6 @@ from ahrs_service.links.component.parameter_values import (
     param_name,
     rounded,
 )
-from ahrs_service.links.logs.param_files import INT32, REAL32, ParamValue, ParamValues
 from ahrs_service.links.mavlink.codec import dialect
 
 _INT8: Final = int(dialect.MAV_PARAM_TYPE_INT8)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ahrs_service.app.live.statistics import GateShares, Latency, gate_shares, gate_text
+from ahrs_service.app.statistics import GateShares, Latency, gate_shares, gate_text
 from ahrs_service.records import ESTIMATE_DTYPE, Gate, Phase, empty
 
 

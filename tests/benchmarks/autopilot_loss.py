@@ -2,7 +2,7 @@
 
     python tests/benchmarks/autopilot_loss.py [--units 200]
 
-Units as simulation.thermal_parts draws them: bias, scale and axes of each part drift with
+Units as paper.thermal_parts draws them: bias, scale and axes of each part drift with
 temperature in forms that are no polynomials. Each is known exactly here, so what is printed is the
 loss of the form alone: noise, lag and a fit on fewer temperatures come on top. Largest over
 -40..70 degC and all directions of 1 g and 100 deg/s, of the worst axis; median and 90 % of the
@@ -14,6 +14,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from paper.thermal_parts import draw_unit
 from rich.console import Console
 from rich.table import Table
 
@@ -21,7 +22,6 @@ from ahrs_service.calibration.autopilots.ardupilot_params import to_ardupilot
 from ahrs_service.calibration.autopilots.px4_params import to_px4
 from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.parameters import TriadCalibration
-from ahrs_service.simulation.thermal_parts import draw_unit
 
 BREAKS = np.linspace(-40.0, 70.0, 56)
 PARTS = ("largest", "rms", "bias", "scale", "cross")

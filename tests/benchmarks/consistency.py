@@ -35,9 +35,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import class_ensemble
 import numpy as np
 from coverage_in_flight import Coverage, coverage, coverage_table
+from ensemble import class_ensemble
 from error_angle import error_angle
 from flight_recordings import LOGS, read_flight, recordings
 from peers import SHARED_DATA, require_data

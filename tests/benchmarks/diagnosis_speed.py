@@ -23,7 +23,7 @@ from rich.table import Table
 
 from ahrs_service.app.diagnose.recorded_columns import read_columns
 from ahrs_service.app.prove.blind_files import write_case
-from ahrs_service.blind.case import Request, make
+from ahrs_service.blind.making.case import Request, make
 from ahrs_service.diagnosis.diagnose import diagnose
 
 HIDDEN = {

@@ -22,15 +22,20 @@ from scipy.stats import kstest
 
 from ahrs_service.app.diagnose.recorded_columns import read_columns
 from ahrs_service.app.prove.blind_files import write_case
-from ahrs_service.blind.case import NULLS, Request, make
-from ahrs_service.blind.plan import SECONDS
+from ahrs_service.blind.making.case import NULLS, Request, make
+from ahrs_service.blind.making.plan import SECONDS
 from ahrs_service.diagnosis.diagnose import compare
 from ahrs_service.diagnosis.hypotheses.candidates import library_of
 from ahrs_service.diagnosis.hypotheses.model import bare
 from ahrs_service.diagnosis.hypotheses.score_test import screen
-from ahrs_service.diagnosis.noise_model.whiteness import whiteness
-from ahrs_service.diagnosis.search.forward_search import ALARM, best_forms
-from ahrs_service.diagnosis.search.search_threshold import hypotheses, maxima, over_the_search
+from ahrs_service.diagnosis.judgement.whiteness import whiteness
+from ahrs_service.diagnosis.search.forward_search import best_forms
+from ahrs_service.diagnosis.search.search_threshold import (
+    ALARM,
+    hypotheses,
+    maxima,
+    over_the_search,
+)
 
 CASES = Path(__file__).resolve().parents[3] / "shared" / "mismatch" / "cases"
 FLOWN = ("reference glitches", "jittered reference", "strong vibration")

@@ -24,12 +24,12 @@ from rich.table import Table
 from ahrs_service.app.diagnose.recorded_columns import read_columns
 from ahrs_service.diagnosis.diagnose import compare
 from ahrs_service.diagnosis.hypotheses.candidates import library_of
+from ahrs_service.diagnosis.hypotheses.likelihood import fit
 from ahrs_service.diagnosis.hypotheses.model import Model, bare
 from ahrs_service.diagnosis.hypotheses.score_test import screen
 from ahrs_service.diagnosis.input import flight_misfit
 from ahrs_service.diagnosis.input.diagnosis_input import Recorded
 from ahrs_service.diagnosis.input.flight_misfit import FlightResidual
-from ahrs_service.diagnosis.noise_model.likelihood import fit
 from ahrs_service.diagnosis.search.forward_search import extend
 from ahrs_service.links.errors import RecordingError
 

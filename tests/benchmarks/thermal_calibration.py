@@ -2,7 +2,7 @@
 
 Run: python tests/benchmarks/thermal_calibration.py [--seeds 10] [--figure FILE.png]
 
-Each seed is another unit and another bench (ahrs_service.simulation.chamber): parts whose drift has
+Each seed is another unit and another bench (paper.chamber): parts whose drift has
 forms that no calibration fits, sized by data sheets; three mountings in the chamber, each turned by
 up to 1.5 degrees about each axis; a lag of up to 30 s between thermometer and elements, either way;
 noise, steps of the outputs, and a bias that differs from run to run by 0.3 mg and 0.01 deg/s. All
@@ -19,14 +19,14 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from paper.comparison import METHODS, Bench, calibrate_bench, residuals
+from paper.residual_figure import draw_residuals
 from peers import Floats
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from ahrs_service.calibration.thermal.comparison import METHODS, Bench, calibrate_bench, residuals
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.viz.thermal_figure import draw_residuals
 
 MILLI_G = 1e-3 * STANDARD_GRAVITY_M_S2
 TARGETS_MG = {

@@ -15,7 +15,7 @@ from ahrs_service.rotation import inverse_columns, multiply_columns
 from ahrs_service.settings import FusionSettings, Settings
 from ahrs_service.simulation.samples import samples_of
 from ahrs_service.simulation.scenario import SCENARIOS, make_flight
-from tests.benchmarks.class_ensemble import draw
+from tests.benchmarks.ensemble.class_ensemble import draw
 
 RUNS = 12
 DRAWN_RUNS, DRAWN_S = 20, 60.0

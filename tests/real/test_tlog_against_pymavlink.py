@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ahrs_service.links.logs.readings import from_message, from_tables
 from ahrs_service.links.logs.tlog import TlogFile, read_tlog
 from ahrs_service.links.mavlink.codec import dialect
 from ahrs_service.links.mavlink.frames import STAMP_BYTES
-from ahrs_service.links.mavlink.readings import from_message, from_tables
 from ahrs_service.records import READING_DTYPE, empty
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared"

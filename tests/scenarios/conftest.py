@@ -13,9 +13,9 @@ from ahrs_service.app.live.daemon import Daemon
 from ahrs_service.app.replay.replay_log import replay_log
 from ahrs_service.estimator import Estimator
 from ahrs_service.health import HealthMonitor
+from ahrs_service.links.logs.readings import from_message
 from ahrs_service.links.logs.tlog import read_tlog, tlog_record
 from ahrs_service.links.mavlink.codec import Decoder, Encoder, dialect
-from ahrs_service.links.mavlink.readings import from_message
 from ahrs_service.records import READING_DTYPE, empty
 from ahrs_service.rotation import inverse_columns, multiply_columns, rotate_columns
 from ahrs_service.settings import LinkSettings, RecorderSettings, Settings

@@ -10,6 +10,7 @@ from ahrs_service.viz import report_plots as plots
 
 @dataclass(frozen=True)
 class Against:
+    triad: str = "accel"
     channel: str = "accel_z"
     covariate: str = "vibration"
     unit: str = "m/s^2"
@@ -25,7 +26,9 @@ def texts(svg):
 
 
 def test_covariates_are_drawn_with_their_names_and_dots():
-    svg = plots.as_svg(plots.against_covariates([Against(), Against("gyro_x", "throttle", "1")]))
+    svg = plots.as_svg(
+        plots.against_covariates([Against(), Against("gyro", "gyro_x", "throttle", "1")])
+    )
     words = texts(svg)
     assert "accel z [m/s²], p &lt; 1e-12" in words
     assert "vibration [m/s^2]" in words

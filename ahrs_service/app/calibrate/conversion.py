@@ -11,9 +11,9 @@ from ahrs_service.calibration.autopilots.board_rotation import board_rotation, b
 from ahrs_service.calibration.autopilots.double_compensation import forms_in_force
 from ahrs_service.calibration.autopilots.export import Export
 from ahrs_service.errors import ConfigError
-from ahrs_service.links.component.parameter_values import PX4
 from ahrs_service.links.errors import ParamError
 from ahrs_service.links.logs.param_files import INT32, REAL32, ParamValue, read_param_file
+from ahrs_service.links.logs.parameter_values import PX4
 from ahrs_service.links.logs.recording_formats import READERS, read_recorded_parameters
 from ahrs_service.records import Floats
 from ahrs_service.sensor.parameters import Calibration

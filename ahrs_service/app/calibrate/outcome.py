@@ -163,16 +163,14 @@ def _triad(
 
 def as_stored(verdict: Verdict, before: provenance.Verdict) -> provenance.Verdict:
     """Return the verdict as the unit's file holds it, after what the file says of other triads."""
-    mine = {triad.triad for triad in verdict.triads}
+    mine = tuple(f"{triad.triad}_" for triad in verdict.triads)
     sentences = [f"{verdict.procedure}: {verdict.words}"]
     sentences += [
         f"{verdict.procedure}: {finding.text}"
         for finding in verdict.findings
         if finding.level is Level.NOTE
     ]
-    figures = {
-        name: value for name, value in before.figures.items() if name.split("_")[0] not in mine
-    }
+    figures = {name: value for name, value in before.figures.items() if not name.startswith(mine)}
     for triad in verdict.triads:
         figures |= _figures(triad)
     kept = [text for text in before.sentences if not text.startswith(f"{verdict.procedure}: ")]

@@ -28,7 +28,7 @@ def most_telling(covariates: Sequence[Covariate]) -> list[Covariate]:
     """Return of every covariate the most telling channel of each triad, the clearest first."""
     best: dict[tuple[str, str], Covariate] = {}
     for item in sorted(covariates, key=lambda item: item.p_value):
-        best.setdefault((item.covariate, item.channel.split("_")[0]), item)
+        best.setdefault((item.covariate, item.triad), item)
     return list(best.values())
 
 

@@ -15,7 +15,7 @@ from typing import Any, Final, TypeVar
 from pydantic import TypeAdapter, ValidationError
 
 from ahrs_service.app.files.field_names import fields_at
-from ahrs_service.errors import ConfigError
+from ahrs_service.errors import ConfigError, RecordingError
 
 _T = TypeVar("_T")
 _LONGEST_LINE: Final = 90
@@ -191,3 +191,17 @@ def _text(text: str) -> str:
 def _key(key: str) -> str:
     is_bare = key.isascii() and key.replace("_", "").replace("-", "").isalnum()
     return key if is_bare else _text(key)
+
+
+def read_json_table(path: Path, fields: tuple[str, ...], what: str) -> dict[str, Any]:
+    """Read a JSON file with `fields`; RecordingError says what is wrong with it."""
+    try:
+        table = parse_json(path.read_bytes(), str(path))
+    except OSError as error:
+        raise RecordingError(f"{path}: {error.strerror}; check the path of {what}") from None
+    except ConfigError as error:
+        raise RecordingError(f"{error}; give {what}") from None
+    missing = [field for field in fields if field not in table]
+    if missing:
+        raise RecordingError(f"{path}: {', '.join(missing)}: is missing; give {what}")
+    return table

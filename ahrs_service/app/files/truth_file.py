@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ahrs_service.app.prove.blind_files import read_truth
+from ahrs_service.app.files import toml_file
 from ahrs_service.diagnosis.input.diagnosis_input import Recorded
 from ahrs_service.diagnosis.judgement.beside_truth import Truth
 from ahrs_service.effects.base import Effect, Values
@@ -16,6 +16,11 @@ _LENGTH_SHARE: Final = 0.05
 _RATE_SHARE: Final = 0.2
 _NOTHING: Final = "none"
 _OUTSIDE: Final = "unknown"
+
+
+def read_truth(path: Path) -> dict[str, Any]:
+    """Read a truth file; RecordingError says what is wrong with it."""
+    return toml_file.read_json_table(path, ("kind", "level", "effects"), "a truth")
 
 
 def read(path: Path, recorded: Recorded) -> Truth:

@@ -19,13 +19,13 @@ from typing import Any, Final
 from ahrs_service.app.files import calibration_file, config_file
 from ahrs_service.app.files.calibration_choice import CalibrationStore
 from ahrs_service.app.live.observer import Observer
-from ahrs_service.app.live.statistics import Session
+from ahrs_service.app.statistics import Session
 from ahrs_service.estimator import Estimator, compile_kernels
 from ahrs_service.health import Health, HealthMonitor
 from ahrs_service.links.component.component import Component
+from ahrs_service.links.logs import readings
 from ahrs_service.links.logs.recorder import Recorder
 from ahrs_service.links.logs.session_marks import MarkKind, is_mark, mark_messages
-from ahrs_service.links.mavlink import readings
 from ahrs_service.links.mavlink.codec import Decoder, Encoder
 from ahrs_service.links.mavlink.signing import Signer, key_from_text
 from ahrs_service.links.transport.link import LinkState, Peer

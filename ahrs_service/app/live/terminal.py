@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ahrs_service.app.live.daemon import Daemon
-from ahrs_service.app.live.statistics import gate_text
+from ahrs_service.app.statistics import gate_text
 from ahrs_service.health import Health
 from ahrs_service.records import Flag, ImuSource, Phase, Record
 from ahrs_service.rotation import euler_columns

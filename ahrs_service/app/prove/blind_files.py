@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from ahrs_service.app.files import toml_file
-from ahrs_service.blind.case import Case
-from ahrs_service.blind.messages import tables
-from ahrs_service.errors import ConfigError, RecordingError
+from ahrs_service.blind.making.case import Case
+from ahrs_service.blind.making.messages import tables
+from ahrs_service.errors import RecordingError
 from ahrs_service.links.mavlink.frame_columns import MessageColumns, tlog_bytes
 
 TRUTH_SUFFIX: Final = ".truth.json"
@@ -43,11 +43,6 @@ def seal(truths: Path) -> str:
     return digest.hexdigest()
 
 
-def read_truth(path: Path) -> dict[str, Any]:
-    """Read a truth file; RecordingError says what is wrong with it."""
-    return _read_table(path, ("kind", "level", "effects"), "a truth")
-
-
 def truths_of(folder: Path) -> Path:
     """Return where the truths of a folder of recordings are: in it, or in its `truths`."""
     inner = folder / "truths"
@@ -76,18 +71,6 @@ def read_report(folder: Path, name: str) -> dict[str, Any] | None:
     path = folder / f"{name}{REPORT_SUFFIX}"
     if not path.is_file():
         return None
-    return _read_table(path, ("verdict", "effects", "unexplained"), "a report of ahrs-mismatch/1")
-
-
-def _read_table(path: Path, fields: tuple[str, ...], what: str) -> dict[str, Any]:
-    """Read a JSON file with `fields`; RecordingError says what is wrong with it."""
-    try:
-        table = toml_file.parse_json(path.read_bytes(), str(path))
-    except OSError as error:
-        raise RecordingError(f"{path}: {error.strerror}; check the path of {what}") from None
-    except ConfigError as error:
-        raise RecordingError(f"{error}; give {what}") from None
-    missing = [field for field in fields if field not in table]
-    if missing:
-        raise RecordingError(f"{path}: {', '.join(missing)}: is missing; give {what}")
-    return table
+    return toml_file.read_json_table(
+        path, ("verdict", "effects", "unexplained"), "a report of ahrs-mismatch/1"
+    )

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from ahrs_service.app.diagnose.recorded_columns import read_columns
-from ahrs_service.blind.baselines import BASELINES
-from ahrs_service.blind.naive import regression
-from ahrs_service.blind.naming import report
+from ahrs_service.blind.judging.baselines import BASELINES
+from ahrs_service.blind.judging.naive import regression
+from ahrs_service.blind.making.naming import report
 from ahrs_service.diagnosis.diagnose import diagnose
 from ahrs_service.diagnosis.result import as_json
 from ahrs_service.links.errors import LinkError

@@ -6,7 +6,7 @@ from typing import Final
 from rich import box
 from rich.table import Table
 
-from ahrs_service.blind.scoring import Mark, Rate, score
+from ahrs_service.blind.judging.scoring import Mark, Rate, score
 
 _SHOWN: Final = 40
 

@@ -31,7 +31,6 @@ from ahrs_service.app.options import new_file, whole
 from ahrs_service.app.prove.blind_files import (
     TRUTH_SUFFIX,
     read_report,
-    read_truth,
     recordings,
     seal,
     truths_of,
@@ -40,11 +39,11 @@ from ahrs_service.app.prove.blind_files import (
 )
 from ahrs_service.app.prove.blind_rivals import OURS, Answer, answer
 from ahrs_service.app.prove.blind_tables import misses_table, score_table, where_table
-from ahrs_service.blind.case import make, request_of
-from ahrs_service.blind.held_out_score import gain_share
-from ahrs_service.blind.oracle import oracle_report
-from ahrs_service.blind.plan import controls, plan
-from ahrs_service.blind.scoring import Mark, judge, score
+from ahrs_service.blind.judging.held_out_score import gain_share
+from ahrs_service.blind.judging.scoring import Mark, judge, score
+from ahrs_service.blind.making.case import make, request_of
+from ahrs_service.blind.making.oracle import oracle_report
+from ahrs_service.blind.making.plan import controls, plan
 from ahrs_service.errors import ConfigError
 from ahrs_service.links.errors import RecordingError
 

@@ -9,7 +9,6 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 
 from ahrs_service.links.component.attitude_messages import Publisher
-from ahrs_service.links.component.vehicle_trim import TRIM_NAMES
 from ahrs_service.links.logs.recording import AttitudeReference, Recording
 from ahrs_service.links.logs.tlog import TlogFile, tlog_record
 from ahrs_service.links.logs.tlog_recording import TlogLog

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ahrs_service.app.live.statistics import gate_shares
+from ahrs_service.app.statistics import gate_shares
 from ahrs_service.comparison import Comparison, compare
 from ahrs_service.estimator import Estimator
 from ahrs_service.fusion import heading

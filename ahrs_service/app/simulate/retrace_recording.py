@@ -16,7 +16,6 @@ from ahrs_service.simulation.reference import ReferenceTrack
 from ahrs_service.simulation.retrace import Surroundings, retrace
 from ahrs_service.simulation.scenario import Flight
 
-_LARGEST_ROTATION_RAD: Final = 1.0
 _SHORTEST_S: Final = 2.0
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from ahrs_service.diagnosis.input.misfit import Residual
-from ahrs_service.effects.base import Addition, Columns, Effect, Parameter
+from ahrs_service.effects.base import Addition, Columns, Effect, Parameter, Triad
 from ahrs_service.effects.catalogue import EFFECTS
 from ahrs_service.records import Floats
 
@@ -35,15 +35,25 @@ class Term:
 
 
 @dataclass(frozen=True, slots=True)
+class Dependence:
+    """An unknown dependence: readings of one triad ("gyro", "accel") follow one covariate."""
+
+    triad: Triad
+    covariate: str
+
+
+@dataclass(frozen=True, slots=True)
 class Candidate:
     """One form of a hypothesis: its columns in the library, which enter by free coefficients.
 
-    `effect` of the catalogue, or None for an unknown dependence on `covariate`. `form` the values
+    `triad` it acts on, `imu` being both. `effect` of the catalogue, or None for an unknown
+    dependence on `covariate`. `form` the values
     of parameters that enter nonlinearly, `freedom` how many numbers are fitted; `is_whole` where
     the response has no coefficient and is there in full or not at all.
     """
 
     name: str
+    triad: Triad
     effect: Effect | None
     covariate: str
     form: dict[str, float]
@@ -56,6 +66,11 @@ class Candidate:
         """Whether its effect is a constant attitude error in flight (see effects.base)."""
         return self.effect is not None and self.effect.is_constant
 
+    @property
+    def dependence(self) -> Dependence:
+        """The unknown dependence that it is a form of, where it is no effect of the catalogue."""
+        return Dependence(self.triad, self.covariate)
+
 
 @dataclass(frozen=True, slots=True)
 class Smooth:
@@ -67,7 +82,7 @@ class Smooth:
     covariate: str
     basis: Floats
     orders: tuple[int, ...]
-    triads: tuple[str, ...] = ("gyro", "accel")
+    triads: tuple[Triad, ...] = ("gyro", "accel")
 
 
 @dataclass(slots=True)
@@ -197,7 +212,9 @@ def library_of(residual: Residual, names: Sequence[str] | None = None) -> Librar
             freedom = len(form) + (len(added) if has_coefficients else 0)
             place = slice(used, used + len(added))
             library.candidates.append(
-                Candidate(name, effect, "", form, place, freedom, not has_coefficients)
+                Candidate(
+                    name, effect.triad, effect, "", form, place, freedom, not has_coefficients
+                )
             )
             rows += added
             used += len(added)
@@ -207,7 +224,7 @@ def library_of(residual: Residual, names: Sequence[str] | None = None) -> Librar
             for order in smooth.orders:
                 place = slice(used, used + 3 * order)
                 library.candidates.append(
-                    Candidate(name, None, smooth.covariate, {}, place, 3 * order)
+                    Candidate(name, triad, None, smooth.covariate, {}, place, 3 * order)
                 )
             added = [
                 residual.project(_on_axis(triad, axis, column))

@@ -6,7 +6,13 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.diagnosis.hypotheses.candidates import Candidate, Library, Term, limits
+from ahrs_service.diagnosis.hypotheses.candidates import (
+    Candidate,
+    Dependence,
+    Library,
+    Term,
+    limits,
+)
 from ahrs_service.diagnosis.hypotheses.model import Model, gain_between, refit, settle
 from ahrs_service.diagnosis.hypotheses.score_test import Gains, surprise
 from ahrs_service.diagnosis.input.misfit import Residual
@@ -50,7 +56,7 @@ def extend(
     """Return `model` with a candidate more, fitted; with the noise fitted again if `has_noise`."""
     terms, unknown, rows = model.terms, model.unknown, model.unknown_rows
     if candidate.effect is None:
-        unknown = (*unknown, *candidate.freedom * (candidate.name,))
+        unknown = (*unknown, *candidate.freedom * (candidate.dependence,))
         rows = np.concatenate([rows, library.rows[:, :, candidate.columns]], axis=2)
     else:
         terms = (*terms, term_of(candidate))
@@ -80,9 +86,9 @@ def without(residual: Residual, model: Model, place: int) -> Model:
     return refit(residual, settle(residual, terms, model.noise, model.unknown, model.unknown_rows))
 
 
-def without_unknown(residual: Residual, model: Model, *names: str) -> Model:
+def without_unknown(residual: Residual, model: Model, *left_out: Dependence) -> Model:
     """Return the model without unknown dependences, numbers and noise fitted again."""
-    kept = [n for n, name in enumerate(model.unknown) if name not in names]
+    kept = [n for n, one in enumerate(model.unknown) if one not in left_out]
     unknown = tuple(model.unknown[n] for n in kept)
     rows = model.unknown_rows[:, :, kept]
     return refit(residual, settle(residual, model.terms, model.noise, unknown, rows))

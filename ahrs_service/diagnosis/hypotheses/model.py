@@ -6,14 +6,15 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.diagnosis.hypotheses.candidates import (
+    Dependence,
     Term,
     limits,
     linear_entries,
     sources,
     unit_response,
 )
+from ahrs_service.diagnosis.hypotheses.likelihood import fit, fit_noise
 from ahrs_service.diagnosis.input.misfit import Noise, Residual, nuisance_rows
-from ahrs_service.diagnosis.noise_model.likelihood import fit, fit_noise
 from ahrs_service.effects.base import Addition, Columns, Effect, Parameter
 from ahrs_service.effects.undo import ideal_motion
 from ahrs_service.records import Floats
@@ -47,7 +48,7 @@ class Model:
     """
 
     terms: tuple[Term, ...]
-    unknown: tuple[str, ...]
+    unknown: tuple[Dependence, ...]
     unknown_rows: Floats
     noise: Noise
     log_likelihood: float
@@ -192,7 +193,7 @@ def settle(
     residual: Residual,
     terms: tuple[Term, ...],
     noise: Noise,
-    unknown: tuple[str, ...] = (),
+    unknown: tuple[Dependence, ...] = (),
     unknown_rows: Floats | None = None,
 ) -> Model:
     """Fit the terms' numbers under one noise: Gauss-Newton, shorter where it overshoots."""

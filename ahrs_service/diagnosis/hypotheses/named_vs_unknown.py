@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.diagnosis.hypotheses.candidates import Candidate, Library
+from ahrs_service.diagnosis.hypotheses.candidates import Candidate, Dependence, Library
 from ahrs_service.diagnosis.hypotheses.hypothesis import (
     Step,
     best_forms,
@@ -71,7 +71,7 @@ def best_unknown(
 
     `forms` with their surprise as screened; those in reach are fitted with their noise.
     """
-    ranking = [(c, v) for c, v in forms if c.effect is None and c.name not in model.unknown]
+    ranking = [(c, v) for c, v in forms if c.effect is None and c.dependence not in model.unknown]
     steps = [
         extend(residual, library, model, candidate, has_noise=True)
         for candidate, value in ranking[:FITTED]
@@ -81,14 +81,14 @@ def best_unknown(
     return max(steps, key=lambda s: evidence(s.gain, s.candidate.freedom), default=None)
 
 
-def acts_on(triad: str, name: str) -> bool:
+def acts_on(triad: str, unknown: Candidate | Dependence) -> bool:
     """Whether an unknown dependence is of a triad, `imu` being both."""
-    return triad in (name.split(" ", maxsplit=1)[0], "imu")
+    return triad in (unknown.triad, "imu")
 
 
 def unknown_instead(
     residual: Residual, library: Library, model: Model, place: int, least: float
-) -> tuple[Step, tuple[str, ...]] | None:
+) -> tuple[Step, tuple[Dependence, ...]] | None:
     """Return the unknown dependence that explains clearly more than a term, and what it replaces.
 
     It is held against the term together with all unknown dependences of the term's triad: a law
@@ -102,7 +102,7 @@ def unknown_instead(
     gain = gain_between(residual, shorter, model)
     freedom = model.base.shape[2] - shorter.base.shape[2]
     gains = screen(residual, shorter.noise, library, shorter.base, shorter.misfit)
-    forms = [(c, v) for c, v in best_forms(library, gains) if acts_on(term.effect.triad, c.name)]
+    forms = [(c, v) for c, v in best_forms(library, gains) if acts_on(term.effect.triad, c)]
     step = best_unknown(
         residual, library, shorter, forms, max(least, IN_REACH * evidence(gain, freedom))
     )
@@ -111,18 +111,20 @@ def unknown_instead(
     return step, beside
 
 
-def as_telling(residual: Residual, library: Library, shorter: Model, name: str) -> tuple[str, ...]:
+def as_telling(
+    residual: Residual, library: Library, shorter: Model, unknown: Dependence
+) -> tuple[str, ...]:
     """Return the covariates that explain as much as an unknown dependence in its place.
 
     `shorter` is the model without it. It stands first; the others are of the same triad.
     """
     gains = screen(residual, shorter.noise, library, shorter.base, shorter.misfit)
-    triad = name.split(" ", maxsplit=1)[0]
     value: dict[str, float] = {}
     for candidate, gain in zip(library.candidates, gains.gain, strict=True):
-        if candidate.effect is None and candidate.name.startswith(triad):
+        if candidate.effect is None and candidate.triad == unknown.triad:
             found = evidence(float(gain), candidate.freedom)
-            value[candidate.name] = max(found, value.get(candidate.name, 0.0))
-    near = [other for other, found in value.items() if found > value[name] - CLEARLY]
-    near.sort(key=lambda other: (other != name, -value[other]))
-    return tuple(other.split(" ", 1)[1] for other in near)
+            value[candidate.covariate] = max(found, value.get(candidate.covariate, 0.0))
+    own = unknown.covariate
+    near = [other for other, found in value.items() if found > value[own] - CLEARLY]
+    near.sort(key=lambda other: (other != own, -value[other]))
+    return tuple(near)

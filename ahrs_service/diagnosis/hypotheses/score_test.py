@@ -8,9 +8,9 @@ from scipy.special import gammaln
 from scipy.stats import chi2
 
 from ahrs_service.diagnosis.hypotheses.candidates import Candidate, Library, linear_entries
+from ahrs_service.diagnosis.hypotheses.likelihood import solve
 from ahrs_service.diagnosis.hypotheses.model import SIZES
 from ahrs_service.diagnosis.input.misfit import Noise, Residual
-from ahrs_service.diagnosis.noise_model.likelihood import solve
 from ahrs_service.records import Floats
 
 _LEAST_SIGMA: Final = 3.0

@@ -9,6 +9,8 @@ from ahrs_service.effects.base import Addition, Columns
 from ahrs_service.records import Floats
 
 CHANNELS = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
+TRIADS = ("gyro", "gyro", "gyro", "accel", "accel", "accel")
+"""The triad of each channel."""
 
 Noise = Floats
 """Logarithms of the noise parameters of a residual, in the order of its `noise_names`."""

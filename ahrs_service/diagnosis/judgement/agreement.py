@@ -5,9 +5,10 @@ from typing import Final
 import numpy as np
 from scipy.stats import chi2
 
+from ahrs_service.diagnosis.hypotheses.candidates import Dependence
+from ahrs_service.diagnosis.hypotheses.likelihood import solve
 from ahrs_service.diagnosis.hypotheses.model import Model, free_numbers
 from ahrs_service.diagnosis.input.misfit import Residual
-from ahrs_service.diagnosis.noise_model.likelihood import solve
 from ahrs_service.records import Floats
 
 _BLOCKS: Final = 12  # A choice: 11 degrees of freedom for each number
@@ -25,10 +26,11 @@ def scatter_of_term(residual: Residual, model: Model, place: int) -> float:
     return scatter(residual, model, own) if own else 1.0
 
 
-def scatter_of_unknown(residual: Residual, model: Model, name: str) -> float:
+def scatter_of_unknown(residual: Residual, model: Model, unknown: Dependence) -> float:
     """Return the same on an unknown dependence."""
     first = model.base.shape[2] - len(free_numbers(model.terms)) - len(model.unknown)
-    return scatter(residual, model, [first + n for n, of in enumerate(model.unknown) if of == name])
+    own = [first + n for n, one in enumerate(model.unknown) if one == unknown]
+    return scatter(residual, model, own)
 
 
 def scatter(residual: Residual, model: Model, columns: list[int]) -> float:

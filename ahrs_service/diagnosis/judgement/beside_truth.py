@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ahrs_service.diagnosis.hypotheses.candidates import Term, missing_covariate
+from ahrs_service.diagnosis.hypotheses.likelihood import fit_noise
 from ahrs_service.diagnosis.hypotheses.model import Model, added_rows
 from ahrs_service.diagnosis.input.misfit import Residual
 from ahrs_service.diagnosis.judgement.held_out_gain import free_run, held_out
-from ahrs_service.diagnosis.noise_model.likelihood import fit_noise
 from ahrs_service.diagnosis.result import Oracle, TrueEffect
 from ahrs_service.effects.base import Effect, Values
 from ahrs_service.errors import DiagnosisError

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 
+from ahrs_service.diagnosis.hypotheses.likelihood import solve
 from ahrs_service.diagnosis.hypotheses.model import Model, added_body, derivative, free_numbers
 from ahrs_service.diagnosis.input.misfit import Residual, bias_rows
-from ahrs_service.diagnosis.noise_model.likelihood import solve
 from ahrs_service.diagnosis.result import FreeRun, Holdout, Vector
 from ahrs_service.records import Floats
 from ahrs_service.rotation import rotate_columns

@@ -19,9 +19,9 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.diagnosis.hypotheses.candidates import Term
+from ahrs_service.diagnosis.hypotheses.likelihood import Fit, Posterior, solve
 from ahrs_service.diagnosis.hypotheses.model import Model, free_numbers, settle
 from ahrs_service.diagnosis.input.misfit import Residual
-from ahrs_service.diagnosis.noise_model.likelihood import Fit, Posterior, solve
 from ahrs_service.records import Floats
 
 _AWAY: Final = np.sqrt(3.0)  # Outer points of Gauss and Hermite's three [sigma]

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.diagnosis.hypotheses.candidates import Candidate, Library
+from ahrs_service.diagnosis.hypotheses.candidates import Candidate, Dependence, Library
 from ahrs_service.diagnosis.hypotheses.hypothesis import (
     Step,
     best_forms,
@@ -35,30 +35,24 @@ from ahrs_service.diagnosis.hypotheses.named_vs_unknown import (
     as_telling,
     best_unknown,
     is_clearer_than,
-    unknown_instead,
 )
 from ahrs_service.diagnosis.hypotheses.score_test import screen, surprise
 from ahrs_service.diagnosis.input.misfit import Residual
-from ahrs_service.diagnosis.judgement.agreement import scatter_of_term, scatter_of_unknown
-from ahrs_service.diagnosis.judgement.classes import ALIKE, SHARE_OF_MAIN, TRIED, alike
-from ahrs_service.diagnosis.judgement.held_out_gain import held_out
-from ahrs_service.diagnosis.search.search_threshold import alarm, hypotheses, maxima
-
-ALARM: Final = alarm(20.0)
-"""Surprise [nats] from which a hypothesis is believed: 8.3. By the bootstrap of the maximum
-(diagnosis.chance) a recording's library amounts to 14 to 27 independent hypotheses."""
-
-UNKNOWN_ALARM: Final = 16.0
-"""The same for a smooth unknown dependence: higher, because noise that goes with the motion (a
-jittered reference) raises these tests, of which there are twenty of twelve numbers each. By how
-much is a choice: twice ALARM, nearly."""
+from ahrs_service.diagnosis.judgement.agreement import scatter_of_term
+from ahrs_service.diagnosis.judgement.classes import ALIKE, SHARE_OF_MAIN, alike
+from ahrs_service.diagnosis.search.explained import Explained
+from ahrs_service.diagnosis.search.revision import agreed, confirmed, pruned, reformed
+from ahrs_service.diagnosis.search.search_threshold import (
+    ALARM,
+    UNKNOWN_ALARM,
+    hypotheses,
+    maxima,
+)
 
 _CLOSE: Final = 0.6
 """A choice: of the best surprise, from which an effect's noise is fitted too. Not classes.py's 0.7:
 there the best is the effect itself, which has its noise already."""
 _MOST_STEPS: Final = 5  # A choice: a bound on the effects and unknown dependences of one recording
-_KEPT_SHARE: Final = 0.25
-"""A choice: beside something unknown a name must keep so much of the gain it was taken for."""
 _APART: Final = 0.15
 """A choice: correlation below which one effect cannot have stood in for two."""
 _FREED: Final = 11.0
@@ -89,8 +83,8 @@ class Search:
     steps: tuple[Step, ...]
     alike: tuple[tuple[str, ...], ...]
     rivals: tuple[tuple[str, float] | None, ...]
-    unknown: dict[str, float]
-    telling: dict[str, tuple[str, ...]]
+    unknown: dict[Dependence, float]
+    telling: dict[Dependence, tuple[str, ...]]
     hypotheses: float
     scatter: tuple[float, ...]
 
@@ -171,34 +165,42 @@ def search(residual: Residual, library: Library, progress: Progress | None = Non
     empty = bare(residual)
     count = hypotheses(maxima(residual, library, empty))
     tell(0.25)
-    model, taken, unknown, main = empty, list[Step](), dict[str, float](), 0.0
-    unknowns: list[Step] = []
-    for turn in range(_MOST_STEPS):
-        step = best_step(residual, library, model, ALARM + SHARE_OF_MAIN * main)
+    found = _forward(Explained(residual, library, empty), tell)
+    for stage in (agreed, pruned, reformed, confirmed):
+        found = stage(found)
+    tell(0.8)
+    return _judged(found, empty, count)
+
+
+def _forward(found: Explained, tell: Progress) -> Explained:
+    """Take the best explanation, one after the other, until none surprises."""
+    main, unknowns = 0.0, list[Step]()
+    for number in range(_MOST_STEPS):
+        step = best_step(found.residual, found.library, found.model, ALARM + SHARE_OF_MAIN * main)
         if step is None or step.gain < _beside_unknown(step, unknowns):
             break
         main = max(main, step.gain)
         model = step.model
-        choose(residual, model.noise, model.base, model.misfit, model.prior)
+        choose(found.residual, model.noise, model.base, model.misfit, model.prior)
         if step.candidate.effect is None:
-            unknown[step.candidate.name] = step.surprise
+            found = found.with_unknown(step)
             unknowns.append(step)
         else:
-            taken.append(step)
-            model, taken = _swap(residual, library, model, taken)
-        tell(0.25 + 0.1 * (turn + 1))
-    model, taken, unknown = _agreed(residual, model, taken, unknown)
-    model, taken, unknown = _pruned(residual, model, taken, unknown)
-    model, taken, unknown = _reformed(residual, library, model, taken, unknown)
-    model, taken = _confirmed(residual, model, taken)
-    tell(0.8)
+            found = _swap(found.with_effect(step))
+        tell(0.25 + 0.1 * (number + 1))
+    return found
+
+
+def _judged(found: Explained, empty: Model, count: float) -> Search:
+    """Return what was found with the gain of each effect over the model without it."""
+    residual, library, model = found.residual, found.library, found.model
     telling = {
-        name: as_telling(residual, library, without_unknown(residual, model, name), name)
-        for name in unknown
+        one: as_telling(residual, library, without_unknown(residual, model, one), one)
+        for one in found.unknown
     }
-    scatter = tuple(scatter_of_term(residual, model, place) for place in range(len(taken)))
+    scatter = tuple(scatter_of_term(residual, model, place) for place in range(len(found.taken)))
     steps, classes, rivals = [], [], []
-    for place, step in enumerate(taken):
+    for place, step in enumerate(found.taken):
         shorter = without(residual, model, place)
         gain = gain_between(residual, shorter, model)
         freedom = step.candidate.freedom
@@ -207,7 +209,15 @@ def search(residual: Residual, library: Library, progress: Progress | None = Non
         classes.append(same)
         rivals.append(rival)
     return Search(
-        empty, model, tuple(steps), tuple(classes), tuple(rivals), unknown, telling, count, scatter
+        empty,
+        model,
+        tuple(steps),
+        tuple(classes),
+        tuple(rivals),
+        dict(found.unknown),
+        telling,
+        count,
+        scatter,
     )
 
 
@@ -224,121 +234,25 @@ def _beside_unknown(step: Step, unknowns: list[Step]) -> float:
 
     What a smooth form leaves of the unknown imitates much; only a part of its size is believed.
     """
-    triad = step.candidate.name.split(" ")[0].split("_")[0]
-    there = [u.gain for u in unknowns if triad in (u.candidate.name.split(" ")[0], "imu")]
+    there = [u.gain for u in unknowns if step.candidate.triad in (u.candidate.triad, "imu")]
     return _SHARE_OF_UNKNOWN * max(there, default=0.0)
 
 
-def _swap(
-    residual: Residual, library: Library, model: Model, taken: list[Step]
-) -> tuple[Model, list[Step]]:
+def _swap(found: Explained) -> Explained:
     """Put another effect in the place of each but the last where that explains more.
 
     Only where their numbers are correlated could the first have stood in for both.
     """
-    for place in range(len(taken) - 1):
+    residual, model = found.residual, found.model
+    for place, own_step in enumerate(found.taken[:-1]):
         if _overlap(model, place) < _APART:
             continue
         shorter = without(residual, model, place)
-        step = best_step(residual, library, shorter, ALARM)
+        step = best_step(residual, found.library, shorter, ALARM)
         if step is None or step.candidate.effect is None:
             continue
-        name, freedom = taken[place].candidate.name, taken[place].candidate.freedom
+        name, freedom = own_step.candidate.name, own_step.candidate.freedom
         own = surprise(gain_between(residual, shorter, model), freedom)
         if step.surprise > own + ALIKE and step.candidate.name != name:
-            return step.model, [*taken[:place], *taken[place + 1 :], step]
-    return model, taken
-
-
-def _pruned(
-    residual: Residual, model: Model, taken: list[Step], unknown: dict[str, float]
-) -> tuple[Model, list[Step], dict[str, float]]:
-    """Leave out what explains little beside the rest: unknown dependences first, then effects."""
-    if len(taken) + len(unknown) < 2:
-        return model, taken, unknown
-    for name in tuple(unknown):
-        shorter = without_unknown(residual, model, name)
-        gain = gain_between(residual, shorter, model)
-        freedom = model.unknown.count(name)
-        if surprise(gain, freedom) < UNKNOWN_ALARM:
-            model = shorter
-            unknown = {key: value for key, value in unknown.items() if key != name}
-    place = 0
-    while place < len(taken):
-        shorter = without(residual, model, place)
-        gain = gain_between(residual, shorter, model)
-        step = taken[place]
-        is_small = unknown and gain < _KEPT_SHARE * step.gain
-        if is_small or surprise(gain, step.candidate.freedom) < ALARM:
-            model, taken = shorter, taken[:place] + taken[place + 1 :]
-        else:
-            place += 1
-    return model, taken, unknown
-
-
-def _reformed(
-    residual: Residual,
-    library: Library,
-    model: Model,
-    taken: list[Step],
-    unknown: dict[str, float],
-) -> tuple[Model, list[Step], dict[str, float]]:
-    """Put an unknown dependence in the place of every name that it explains clearly more than."""
-    if len(taken) + len(unknown) < 2:
-        return model, taken, unknown
-    place = 0
-    while place < len(taken):
-        found = unknown_instead(residual, library, model, place, UNKNOWN_ALARM)
-        if found is None:
-            place += 1
-            continue
-        step, replaced = found
-        model, taken = step.model, taken[:place] + taken[place + 1 :]
-        unknown = {name: value for name, value in unknown.items() if name not in replaced}
-        unknown[step.candidate.name] = step.surprise
-    return _pruned(residual, model, taken, unknown)
-
-
-def _confirmed(residual: Residual, model: Model, taken: list[Step]) -> tuple[Model, list[Step]]:
-    """Leave out every further effect by which blocks that it was not fitted to get worse."""
-    place = 1
-    while place < len(taken):
-        shorter = without(residual, model, place)
-        triad = model.terms[place].effect.triad
-        if held_out(residual, shorter, model, triad).log_likelihood_gain < 0.0:
-            model, taken = shorter, taken[:place] + taken[place + 1 :]
-        else:
-            place += 1
-    return model, taken
-
-
-def _agreed(
-    residual: Residual, model: Model, taken: list[Step], unknown: dict[str, float]
-) -> tuple[Model, list[Step], dict[str, float]]:
-    """Leave out what parts of the recording contradict each other on, the weakest first.
-
-    The strongest effect stays: what the others leave of it makes its parts differ.
-    """
-    for name in reversed(tuple(unknown)):
-        ratio = scatter_of_unknown(residual, model, name)
-        if ratio > 1.0:
-            shorter = without_unknown(residual, model, name)
-            gain = gain_between(residual, shorter, model)
-            if surprise(gain / ratio, model.unknown.count(name)) < UNKNOWN_ALARM:
-                model = shorter
-                unknown = {key: value for key, value in unknown.items() if key != name}
-    while len(taken) > 1:
-        ratios = [scatter_of_term(residual, model, place) for place in range(len(taken))]
-        if max(ratios) == 1.0:
-            break
-        others = [without(residual, model, place) for place in range(len(taken))]
-        gains = [gain_between(residual, one, model) for one in others]
-        left = [
-            surprise(gain / ratio, step.candidate.freedom) if gain < max(gains) else np.inf
-            for gain, ratio, step in zip(gains, ratios, taken, strict=True)
-        ]
-        weakest = int(np.argmin(left))
-        if left[weakest] >= ALARM or ratios[weakest] == 1.0:
-            break
-        model, taken = others[weakest], taken[:weakest] + taken[weakest + 1 :]
-    return model, taken, unknown
+            return found.without_effect(place, shorter).with_effect(step)
+    return found

@@ -6,10 +6,10 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.diagnosis.hypotheses.candidates import regimes
+from ahrs_service.diagnosis.hypotheses.likelihood import solve
 from ahrs_service.diagnosis.hypotheses.model import Model
 from ahrs_service.diagnosis.hypotheses.score_test import surprise
-from ahrs_service.diagnosis.input.misfit import CHANNELS, Residual, nuisance_rows
-from ahrs_service.diagnosis.noise_model.likelihood import solve
+from ahrs_service.diagnosis.input.misfit import CHANNELS, TRIADS, Residual, nuisance_rows
 from ahrs_service.diagnosis.result import Covariate, Where
 from ahrs_service.effects.base import Addition
 from ahrs_service.records import Floats
@@ -91,6 +91,7 @@ def _of_covariate(gram: Floats, name: str, edges: Floats) -> list[Covariate]:
         value = surprise(0.5 * float(mean @ own[part, -2]), bins - 1)
         found.append(
             Covariate(
+                TRIADS[channel],
                 CHANNELS[channel],
                 name,
                 _UNITS[name],

@@ -57,6 +57,16 @@ def alarm(count: float) -> float:
     return float(-np.log(-np.expm1(np.log1p(-FALSE_ALARMS) / count)))
 
 
+ALARM: Final = alarm(20.0)
+"""Surprise [nats] from which a hypothesis is believed: 8.3. By the bootstrap of the maximum
+(diagnosis.chance) a recording's library amounts to 14 to 27 independent hypotheses."""
+
+UNKNOWN_ALARM: Final = 16.0
+"""The same for a smooth unknown dependence: higher, because noise that goes with the motion (a
+jittered reference) raises these tests, of which there are twenty of twelve numbers each. By how
+much is a choice: twice ALARM, nearly."""
+
+
 def over_the_search(surprise: float, count: float) -> float:
     """Return the chance that noise makes the best of `count` hypotheses as surprising as this."""
     return float(-np.expm1(count * np.log1p(-np.exp(-min(surprise, 700.0)))))

@@ -6,9 +6,9 @@ import pytest
 from ahrs_service.app import cli
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.estimator import Estimator
+from ahrs_service.links.logs.readings import from_message
 from ahrs_service.links.logs.tlog import tlog_record
 from ahrs_service.links.mavlink.codec import Decoder, Encoder, dialect
-from ahrs_service.links.mavlink.readings import from_message
 from ahrs_service.records import READING_DTYPE, empty
 from ahrs_service.settings import Settings
 

@@ -6,9 +6,9 @@ from ahrs_service.app.files import config_file
 from ahrs_service.app.replay.replay_log import replay_log
 from ahrs_service.estimator import Estimator
 from ahrs_service.links.errors import RecordingError
+from ahrs_service.links.logs.readings import from_message
 from ahrs_service.links.logs.session_marks import MarkKind, mark_messages
 from ahrs_service.links.mavlink.codec import Decoder, Encoder
-from ahrs_service.links.mavlink.readings import from_message
 from ahrs_service.records import READING_DTYPE, empty
 from ahrs_service.settings import GateSettings, Settings
 from tests.app.replay.conftest import BOOT_US, frames_of, live_digest, write

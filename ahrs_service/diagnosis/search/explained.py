@@ -1,0 +1,47 @@
+"""What the search has explained of a misfit so far, as its stages hand it on."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+from ahrs_service.diagnosis.hypotheses.candidates import Dependence, Library
+from ahrs_service.diagnosis.hypotheses.hypothesis import Step
+from ahrs_service.diagnosis.hypotheses.model import Model
+from ahrs_service.diagnosis.input.misfit import Residual
+
+
+@dataclass(frozen=True, slots=True)
+class Explained:
+    """What is explained so far, as one stage of the search hands it to the next.
+
+    `model` all of it fitted, `taken` one step per term of the model in its order, `unknown` the
+    surprise of every unknown dependence in it.
+    """
+
+    residual: Residual
+    library: Library
+    model: Model
+    taken: tuple[Step, ...] = ()
+    unknown: Mapping[Dependence, float] = field(default_factory=dict)
+
+    @property
+    def count(self) -> int:
+        """How many explanations stand beside each other."""
+        return len(self.taken) + len(self.unknown)
+
+    def with_effect(self, step: Step) -> "Explained":
+        """Return it with a named effect more."""
+        return replace(self, model=step.model, taken=(*self.taken, step))
+
+    def with_unknown(self, step: Step) -> "Explained":
+        """Return it with an unknown dependence more."""
+        unknown = {**self.unknown, step.candidate.dependence: step.surprise}
+        return replace(self, model=step.model, unknown=unknown)
+
+    def without_effect(self, place: int, shorter: Model) -> "Explained":
+        """Return it without one of its effects, `shorter` being the model of the rest."""
+        return replace(self, model=shorter, taken=self.taken[:place] + self.taken[place + 1 :])
+
+    def without_unknown(self, shorter: Model, *names: Dependence) -> "Explained":
+        """Return it without unknown dependences, `shorter` being the model of the rest."""
+        left = {one: value for one, value in self.unknown.items() if one not in names}
+        return replace(self, model=shorter, unknown=left)

@@ -1,0 +1,1 @@
+"""The paper (Liu et al.): its benches, its thermal models, and their comparison."""
