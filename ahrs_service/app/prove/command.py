@@ -27,6 +27,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from ahrs_service.app.files.truth_file import read_truth
 from ahrs_service.app.options import new_file, whole
 from ahrs_service.app.prove.blind_files import (
     TRUTH_SUFFIX,

@@ -14,6 +14,7 @@ from ahrs_service.links.logs.tlog import TlogFile, tlog_record
 from ahrs_service.links.logs.tlog_recording import TlogLog
 from ahrs_service.links.mavlink.codec import Encoder, dialect
 from ahrs_service.links.mavlink.frames import STAMP_BYTES
+from ahrs_service.links.mavlink.vehicle_trim import TRIM_NAMES
 from ahrs_service.records import Integers, Kind, Phase, Rows
 from ahrs_service.rotation import euler_columns
 from ahrs_service.settings import Settings

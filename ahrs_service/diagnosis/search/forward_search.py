@@ -39,7 +39,7 @@ from ahrs_service.diagnosis.hypotheses.named_vs_unknown import (
 from ahrs_service.diagnosis.hypotheses.score_test import screen, surprise
 from ahrs_service.diagnosis.input.misfit import Residual
 from ahrs_service.diagnosis.judgement.agreement import scatter_of_term
-from ahrs_service.diagnosis.judgement.classes import ALIKE, SHARE_OF_MAIN, alike
+from ahrs_service.diagnosis.judgement.classes import ALIKE, SHARE_OF_MAIN, TRIED, alike
 from ahrs_service.diagnosis.search.explained import Explained
 from ahrs_service.diagnosis.search.revision import agreed, confirmed, pruned, reformed
 from ahrs_service.diagnosis.search.search_threshold import (

@@ -20,7 +20,6 @@ from ahrs_service.app.replay.replay_log import replay_log
 from ahrs_service.errors import StateError
 from ahrs_service.estimator import Estimator
 from ahrs_service.intake import STATE_DTYPE as INTAKE_STATE
-from ahrs_service.links.logs.readings import recording_from_tlog
 from ahrs_service.links.logs.session_marks import MarkKind, mark_messages
 from ahrs_service.links.logs.tlog import read_tlog
 from ahrs_service.links.logs.tlog_recording import recording_from_tlog

@@ -12,7 +12,6 @@ import pytest
 from ahrs_service.app.cli import main
 from ahrs_service.app.files.toml_file import read_as
 from ahrs_service.app.simulate import command as simulate
-from ahrs_service.links.logs.readings import recording_from_tlog
 from ahrs_service.links.logs.tlog import read_tlog
 from ahrs_service.links.logs.tlog_recording import recording_from_tlog
 from ahrs_service.links.mavlink.codec import Decoder, Encoder, dialect
