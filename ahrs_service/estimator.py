@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service import intake, pipeline
+from ahrs_service import intake, pipeline, rotation
 from ahrs_service.fusion import alignment
 from ahrs_service.fusion.ground_velocity import HISTORY
 from ahrs_service.fusion.states import AIDED, GATED, UNAIDED
@@ -180,3 +180,8 @@ def compile_kernels(settings: Settings) -> None:
     readings["gyro_rad_s"] = 0.0
     readings["accel_m_s2"] = (0.0, 0.0, -9.8)
     estimator.take(readings)
+    # What a new calibration, an ATTITUDE sent and one received call besides.
+    estimator.calibrate(estimator.calibration)
+    attitude = np.array([1.0, 0.0, 0.0, 0.0])
+    rotation.to_euler(attitude, np.empty(3))
+    rotation.from_euler(0.0, 0.0, 0.0, attitude)
