@@ -99,7 +99,12 @@ def _renamed(function: _Function) -> FunctionType:
     return copy
 
 
-class _Part(CPUDispatcher):  # type: ignore[misc]
+def _plain(kind: Any) -> Any:
+    """Return the type of a number where `kind` is that of one literal number."""
+    return types.unliteral(kind)  # type: ignore[no-untyped-call]
+
+
+class _Part(CPUDispatcher):
     """A kernel as other kernels call it: with no way in from Python, which took a third longer.
 
     What calls it is optimised with it as a whole, so that little of that is done here. Compiled
@@ -117,14 +122,14 @@ class _Part(CPUDispatcher):  # type: ignore[misc]
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Resolve a call out of a kernel."""
-        plain = {name: types.unliteral(kind) for name, kind in dict(kws).items()}
-        return super().get_call_template(tuple(types.unliteral(kind) for kind in args), plain)
+        plain = {name: _plain(kind) for name, kind in dict(kws).items()}
+        return super().get_call_template(tuple(_plain(kind) for kind in args), plain)
 
 
-class _Entry(CPUDispatcher):  # type: ignore[misc]
+class _Entry(CPUDispatcher):
     """A kernel as Python calls it; other kernels are handed `part` in its place."""
 
-    part: _Part
+    part: Any
 
     @property
     def _numba_type_(self) -> Any:

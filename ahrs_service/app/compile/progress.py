@@ -20,7 +20,7 @@ LINE_EVERY_S: Final = 4.0
 _EVENT: Final = "numba:compile"
 
 
-class CompileProgress(event.Listener):  # type: ignore[misc]
+class CompileProgress(event.Listener):
     """Listens to the compiler; `compiled` counts this package's kernels, `spent_s` their time [s].
 
     The kernels ahead are those that the outermost one names, directly or not.
