@@ -12,9 +12,16 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
+from ahrs_service.calibration.rotating import turn_and_leverage
+from ahrs_service.effects.thermal_hysteresis import branch
 from ahrs_service.estimator import compile_kernels
 from ahrs_service.links.logs import dataflash_tables
 from ahrs_service.links.mavlink.codec import Decoder
+from ahrs_service.sensor.compensation import compensate_columns
+from ahrs_service.sensor.forward import forward_columns
+from ahrs_service.sensor.parameters import Calibration, coefficients
 from ahrs_service.settings import Settings
 
 _FLIGHT_S: Final = "40"
@@ -46,6 +53,14 @@ def kernels_of_diagnosis() -> None:
         _command("diagnose", str(flight))
 
 
+def kernels_of_calibration() -> None:
+    """Compile the sensor's model both ways and the rotations of a calibration."""
+    ideal, time_s, still = coefficients(Calibration.ideal()), np.arange(3.0), np.zeros((3, 3))
+    compensate_columns(ideal, *forward_columns(ideal, still, still, time_s, time_s), time_s, time_s)
+    branch(time_s, 1.0)
+    turn_and_leverage(time_s, still, np.eye(3), np.zeros(3), np.empty((3, 3)), np.empty((3, 9)))
+
+
 def _command(*words: str) -> None:
     """Run a command of the program and keep what it says to itself."""
     module = importlib.import_module("ahrs_service.app.cli")
@@ -59,5 +74,6 @@ STEPS: Final[Mapping[str, Callable[[], None]]] = {
     "live service": kernels_of_the_link,
     "recordings": kernels_of_recordings,
     "diagnosis": kernels_of_diagnosis,
+    "calibration": kernels_of_calibration,
 }
 """What is compiled, by what needs it."""
