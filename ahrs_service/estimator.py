@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ahrs_service import intake, pipeline
+from ahrs_service import intake, pipeline, rotation
 from ahrs_service.errors import InvalidValueError, StateError
 from ahrs_service.fusion import alignment
 from ahrs_service.fusion.ground_velocity import HISTORY
@@ -283,3 +283,8 @@ def compile_kernels(settings: Settings) -> None:
     readings["gyro_rad_s"] = 0.0
     readings["accel_m_s2"] = (0.0, 0.0, -9.8)
     estimator.take(readings)
+    # What a new calibration, an ATTITUDE sent and one received call besides.
+    estimator.calibrate(estimator.calibration)
+    attitude = np.array([1.0, 0.0, 0.0, 0.0])
+    rotation.to_euler(attitude, np.empty(3))
+    rotation.from_euler(0.0, 0.0, 0.0, attitude)

@@ -124,7 +124,25 @@ def test_an_inlined_kernel_is_a_part_of_its_caller_and_what_it_calls_is_not(copy
     script = "from ahrs_service.fusion.nested import inner, middle, outer\n"
     script += "result = outer(0.5)\n"
     script += "for function in (inner, middle, outer):\n"
-    script += "    (overload,) = function.overloads.values()\n"
+    script += "    (overload,) = (function.overloads or function.part.overloads).values()\n"
     script += "    print('alwaysinline' in overload.library.get_llvm_str())\n"
     script += "print(result)"
     assert copy(script) == ["False", "True", "False", str(math.sin(0.5))]
+
+
+def test_a_kernel_called_by_a_kernel_has_no_way_in_from_python_until_python_calls_it(copy):
+    (copy.root / "fusion" / "nested.py").write_text(
+        "from ahrs_service.kernel import kernel\n"
+        "@kernel\ndef element(x, i):\n    return x[i]\n"
+        "@kernel\ndef outer(x):\n    return element(x, 0) + element(x, 1)\n"
+    )
+    script = "import numpy as np\nfrom ahrs_service.fusion.nested import element, outer\n"
+    script += "x = np.array([1.0, 2.0])\n"
+    script += "print(outer(x), len(element.part.overloads), len(element.overloads))\n"
+    # Python's call finds nothing of the other in the cache, and the other nothing of it.
+    script += "print(element(x, 1), len(element.part.overloads), len(element.overloads))\n"
+    # One for both of the literal numbers 0 and 1.
+    assert copy(script) == ["3.0", "1", "0", "2.0", "1", "1"]
+    assert copy(script) == ["3.0", "0", "0", "2.0", "0", "1"]
+    names = {path.name.split("-")[0] for path in copy.root.rglob("nested*.nbi")}
+    assert names == {"nested.element", "nested.element.part", "nested.outer"}

@@ -27,6 +27,10 @@ COMMANDS: Final = {
         "ahrs_service.app.diagnose.command",
         "name what an IMU does that its twin does not",
     ),
+    "compile": (
+        "ahrs_service.app.compile.command",
+        "compile the kernels now, for installers and images",
+    ),
     "play": ("ahrs_service.app.live.play", "play a recording over a link in real time"),
     "prove": (
         "ahrs_service.app.prove.command",
@@ -71,8 +75,11 @@ def main(arguments: list[str] | None = None) -> int:
     )
     module.add_arguments(parser)
     errors = Console(stderr=True, soft_wrap=True, highlight=False)
+    parsed = parser.parse_args(words[1:])
+    progress = importlib.import_module("ahrs_service.app.compile.progress")
     try:
-        return int(module.run(parser.parse_args(words[1:])))
+        with progress.telling(errors):
+            return int(module.run(parsed))
     except AhrsError as error:
         errors.print(f"[bold red]{error.headline}:[/] {escape(str(error))}")
         return error.exit_code

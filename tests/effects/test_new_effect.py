@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from ahrs_service.app.cli import main
-from ahrs_service.app.diagnose.command import compensated
 from ahrs_service.app.diagnose.loaded_recording import load
+from ahrs_service.app.diagnose.recording_diagnosis import compensated
 from ahrs_service.app.files import calibration_file, twin_file
 from ahrs_service.calibration.folding import fold
 from ahrs_service.diagnosis.input.effect_removal import without_effects

@@ -29,6 +29,7 @@ from ahrs_service.app import options
 from ahrs_service.app.live.daemon import Daemon
 from ahrs_service.app.live.terminal import TerminalLog, live_table, session_table
 from ahrs_service.errors import ConfigError
+from ahrs_service.estimator import compile_kernels
 from ahrs_service.settings import Settings
 
 DEFAULT_VIEWER_PORT: Final = 9876
@@ -85,7 +86,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Serve until SIGINT, SIGTERM or the time is up; return the exit code."""
     settings = settings_from(arguments)
     console = Console()
-    console.print("[dim]starting; on the first start the kernels are compiled, a minute or so[/]")
+    # Before the live table, which would overwrite the word of it.
+    compile_kernels(settings)
     daemon = asyncio.run(
         serve(settings, console, table=not arguments.quiet, seconds=arguments.seconds)
     )

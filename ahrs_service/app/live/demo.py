@@ -38,6 +38,7 @@ from ahrs_service.app.live.terminal import TerminalLog, session_table
 from ahrs_service.app.replay.replay_log import ReplayResult, replay_log
 from ahrs_service.app.replay.report import error_table
 from ahrs_service.errors import ConfigError
+from ahrs_service.estimator import compile_kernels
 from ahrs_service.settings import Settings
 from ahrs_service.simulation.scenario import SCENARIOS
 
@@ -81,7 +82,8 @@ def run(arguments: argparse.Namespace) -> int:
     CalibrationStore(sensor)
     files = _files(arguments.out)
     settings = _with_places(dataclasses.replace(settings, sensor=sensor), files)
-    console.print("[dim]starting; on the first start the kernels are compiled, a minute or so[/]")
+    # Before the live table, which would overwrite the word of it.
+    compile_kernels(settings)
     try:
         flown = asyncio.run(_fly(settings, arguments, console))
     except asyncio.CancelledError:

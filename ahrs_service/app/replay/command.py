@@ -36,6 +36,7 @@ from ahrs_service.app.replay.export_tlog import write_tlog
 from ahrs_service.app.replay.replay_log import ReplayResult, replay_log
 from ahrs_service.app.replay.report import log_table, summary_table
 from ahrs_service.app.replay.summary import Summary
+from ahrs_service.estimator import compile_kernels
 from ahrs_service.links.errors import RecordingError
 from ahrs_service.links.logs.recording_formats import KNOWN, READERS
 from ahrs_service.settings import Settings
@@ -94,6 +95,9 @@ def run(args: argparse.Namespace) -> int:
     logs = _logs(args.logs)
     console = Console()
     errors = Console(stderr=True, soft_wrap=True, highlight=False)
+    if errors.is_terminal:
+        # Its bar and that of a log would overwrite each other.
+        compile_kernels(settings or Settings())
     outputs = _Outputs({kind: getattr(args, kind) for kind in _OUTPUTS}, len(logs) > 1)
     summaries: list[Summary] = []
     for path in logs:

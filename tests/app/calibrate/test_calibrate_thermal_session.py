@@ -5,10 +5,9 @@ import json
 import os
 import subprocess
 
-from tests.app.test_calibrate_session import COMMAND, ROOT, fly, free_port, until
-from tests.app.test_calibrate_thermal import warm_up
-
 from ahrs_service.app.cli import main
+from tests.app.calibrate.test_calibrate_session import COMMAND, ROOT, fly, free_port, until
+from tests.app.calibrate.test_calibrate_thermal import warm_up
 from tests.hang import HANG_S
 
 
