@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from ahrs_service import pipeline
-from ahrs_service.fusion import ground_velocity, heading, mekf
+from ahrs_service.fusion import ground_velocity, heading, mekf, timebase
 from ahrs_service.fusion.states import AIDED, ANGLE, ERROR_STATES, LAG, UNAIDED, VELOCITY, WIND
-from ahrs_service.records import Airframe
+from ahrs_service.records import SAMPLE_DTYPE, Airframe, empty
 from ahrs_service.settings import Settings
 from tests.error_state import attitude, flying, stand
 
@@ -200,3 +200,26 @@ def test_between_two_turns_the_velocity_is_that_of_the_time_between():
     assert is_known
     assert then == pytest.approx((3.0, 0.0, 0.0))
     assert not ground_velocity._velocity_at(state, 9_990_000_000)[0]
+
+
+@pytest.mark.parametrize(
+    ("later_ns", "is_new"), [(149_000_000, 0), (151_000_000, 1), (-(10**9), 1)]
+)
+def test_what_comes_within_150_ms_shares_the_error_of_the_last(later_ns, is_new):
+    """A clock that was set back by a second brings a new one."""
+    state, sample = unknown_heading(), empty(SAMPLE_DTYPE)[0]
+    state["measured_time_ns"], state["measured_new"] = 50 * 10**9, 0
+    state["measured_velocity_m_s"] = 0.0
+    sample["time_ns"], sample["velocity_ned_m_s"] = 50 * 10**9 + later_ns, (3.0, 4.0, np.nan)
+    ground_velocity.hear_velocity(state, sample)
+    assert state["measured_new"] == is_new
+    assert state["measured_velocity_m_s"][1] == 4.0 * is_new
+
+
+def test_the_usual_step_follows_by_a_twentieth_of_what_it_is_off():
+    """From 10 ms to 14 by 0.2 ms; a step of 100 ms counts as three usual ones, 30: 1 ms."""
+    for step_s, expected_s in ((0.014, 0.0102), (0.1, 0.011), (0.006, 0.0098)):
+        state = unknown_heading()
+        state["interval_s"] = 0.01
+        timebase._follow_interval(state, step_s)
+        assert state["interval_s"] == pytest.approx(expected_s)
