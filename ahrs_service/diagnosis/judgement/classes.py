@@ -27,8 +27,8 @@ _WORTH: Final = 0.4
 """Of the screened surprise, from which a rival is worth its fit. Searched from 0.2 to 0.8: flat, on
 the four blind recordings that forward_search._CLOSE names."""
 _ALIKE_SHARE: Final = 0.7
-"""Of the surprise fitted, from which a rival's noise is fitted too. Searched from 0.35 to 0.9: flat,
-on the same."""
+"""Of the surprise fitted, from which a rival's noise is fitted too. Searched from 0.35 to 0.9:
+flat, on the same."""
 
 
 def expected_losses(
