@@ -13,9 +13,8 @@ from ahrs_service.adoption import NO_VEHICLE, Vehicle, first_vehicle
 from ahrs_service.app import options
 from ahrs_service.app.files import config_file
 from ahrs_service.chosen_imu import ChosenImu, choose_imu
-from ahrs_service.errors import ConfigError, StateError
+from ahrs_service.errors import ConfigError, RecordingError, StateError
 from ahrs_service.estimator import Estimator
-from ahrs_service.links.errors import RecordingError
 from ahrs_service.links.logs.recording import Recording
 from ahrs_service.links.logs.session_marks import MarkKind
 from ahrs_service.records import ImuSource

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.stats import chi2
 
-from ahrs_service.calibration.errors import CalibrationError
+from ahrs_service.errors import CalibrationError
 from ahrs_service.records import Floats, Integers
 
 _FLOOR: Final = math.sqrt(2.0 * math.log(2.0) / math.pi)

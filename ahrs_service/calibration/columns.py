@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.errors import CalibrationError
 from ahrs_service.records import Floats
 
 AXES: Final = ("x", "y", "z")

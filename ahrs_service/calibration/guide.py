@@ -12,7 +12,6 @@ import numpy as np
 
 from ahrs_service.calibration import multi_pose, six_position
 from ahrs_service.calibration.columns import ImuColumns, check_stream_unit
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.known_rotations import find_rotations
 from ahrs_service.calibration.multi_pose import LEAST_POSES
 from ahrs_service.calibration.poses import (
@@ -28,6 +27,7 @@ from ahrs_service.calibration.poses import (
 from ahrs_service.calibration.six_position import FACES, LARGEST_TILT_RAD, faces_of
 from ahrs_service.calibration.triad import TriadFit, ideal
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.errors import CalibrationError
 from ahrs_service.records import Floats, Rows
 
 FACE_WORDS: Final = {

@@ -12,7 +12,6 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.calibration.columns import AXES, ImuColumns, flat_tops
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.poses import directions, rest_bias, span_of
 from ahrs_service.calibration.triad import (
     TriadFit,
@@ -22,6 +21,7 @@ from ahrs_service.calibration.triad import (
     with_rest_bias,
 )
 from ahrs_service.calibration.verdict import TriadVerdict
+from ahrs_service.errors import CalibrationError
 from ahrs_service.records import Floats, Rows
 
 _SAME_FACE_RAD: Final = math.radians(3.0)

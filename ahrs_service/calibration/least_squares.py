@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.calibration.errors import CalibrationError
+from ahrs_service.errors import CalibrationError
 from ahrs_service.records import Floats
 
 _STEPS: Final = 60  # A choice: a bound; _TOLERANCE ends a fit that settles before it

@@ -11,12 +11,12 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.calibration.columns import check_force_unit
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.least_squares import gauss_newton
 from ahrs_service.calibration.poses import directions, groups_of, span_of, sphere_coverage
 from ahrs_service.calibration.triad import TriadFit, check_matrix, check_sigma, from_inverse, vector
 from ahrs_service.calibration.verdict import TriadVerdict, Vector
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.errors import CalibrationError
 from ahrs_service.records import Floats, Integers, Rows
 
 LEAST_POSES: Final = 12

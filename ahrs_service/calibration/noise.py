@@ -11,8 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.poses import Booleans
+from ahrs_service.errors import CalibrationError
 from ahrs_service.records import Floats, Phase, Rows
 from ahrs_service.rotation import euler_columns
 

@@ -14,13 +14,13 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.calibration.columns import AXES, ImuColumns, flat_tops
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.least_squares import Fit, gauss_newton
 from ahrs_service.calibration.multi_pose import FOLDS, folds
 from ahrs_service.calibration.poses import directions, rest_bias, span_of, sphere_coverage
 from ahrs_service.calibration.rotating import rotation_and_leverage
 from ahrs_service.calibration.triad import TriadFit, check_matrix, from_inverse, vector
 from ahrs_service.calibration.verdict import TriadVerdict, Vector
+from ahrs_service.errors import CalibrationError
 from ahrs_service.records import Floats, Rows
 
 _LEAST_ROTATION_RAD: Final = math.radians(20.0)

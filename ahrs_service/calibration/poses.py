@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy.stats import chi2
 
 from ahrs_service.calibration.columns import AXES, ImuColumns
-from ahrs_service.calibration.errors import CalibrationError
+from ahrs_service.errors import CalibrationError
 from ahrs_service.records import Floats, Integers, Rows, empty
 
 Booleans = npt.NDArray[np.bool_]

@@ -15,11 +15,11 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ahrs_service.calibration.columns import ImuColumns
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.least_squares import gauss_newton
 from ahrs_service.calibration.poses import Booleans, Stillness, find_runs, windows_of
 from ahrs_service.calibration.triad import TriadFit, check_matrix, fit_triad, rms
 from ahrs_service.calibration.verdict import TriadVerdict, Vector
+from ahrs_service.errors import CalibrationError
 from ahrs_service.records import Floats
 
 _LARGEST_MISS: Final = 0.2

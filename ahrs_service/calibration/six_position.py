@@ -11,11 +11,11 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.calibration.columns import AXES, check_force_unit
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.poses import directions, span_of, sphere_coverage
 from ahrs_service.calibration.triad import TriadFit, check_matrix, check_sigma, fit_triad, rms
 from ahrs_service.calibration.verdict import TriadVerdict
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.errors import CalibrationError
 from ahrs_service.records import Floats, Integers, Rows
 
 FACES: Final = tuple(f"{sign}{axis}" for axis in AXES for sign in ("+", "-"))

@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.calibration.columns import AXES
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.least_squares import Fit, linear_fit
 from ahrs_service.calibration.verdict import Vector
+from ahrs_service.errors import CalibrationError
 from ahrs_service.records import Floats
 
 LARGEST_DEVIATION: Final = 0.3

@@ -13,6 +13,7 @@ from typing import ClassVar, Final, Literal
 
 import numpy as np
 
+from ahrs_service.errors import InvalidValueError
 from ahrs_service.records import Floats
 
 Triad = Literal["gyro", "accel", "imu"]
@@ -104,7 +105,7 @@ class Parameter:
         """Return `values` as an array of this parameter's shape; ValueError names what is wrong."""
         array = np.asarray(values, np.float64)
         if array.shape != self.shape:
-            raise ValueError(
+            raise InvalidValueError(
                 f"{self.name}: {values} has shape {array.shape}; give {self.shape or 'a number'}"
             )
         return array
@@ -247,7 +248,9 @@ class Effect(ABC):
         known = {p.name: p for p in self.parameters}
         for name in values:
             if name not in known:
-                raise ValueError(f"{self.id}: no parameter {name}; there are {', '.join(known)}")
+                raise InvalidValueError(
+                    f"{self.id}: no parameter {name}; there are {', '.join(known)}"
+                )
         complete = self.neutral()
         for name, value in values.items():
             complete[name] = known[name].array(value)

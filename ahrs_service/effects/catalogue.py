@@ -7,6 +7,7 @@ from typing import Final, TypeVar
 
 from ahrs_service import effects
 from ahrs_service.effects.base import Effect
+from ahrs_service.errors import InvalidValueError
 
 Kind = TypeVar("Kind", bound=Effect)
 
@@ -76,10 +77,12 @@ def register(kind: type[Kind]) -> type[Kind]:
     """
     unsaid = [name for name in _SAID if not hasattr(kind, name)]
     if unsaid:
-        raise ValueError(f"{kind.__name__} has no {', '.join(unsaid)}; see effects.base.Effect")
+        raise InvalidValueError(
+            f"{kind.__name__} has no {', '.join(unsaid)}; see effects.base.Effect"
+        )
     for effect in (kind(triad) for triad in kind.triads):
         if EFFECTS.get(effect.id, effect) != effect:
-            raise ValueError(
+            raise InvalidValueError(
                 f"{effect.id} is a {type(EFFECTS[effect.id]).__name__}; give another name"
             )
         EFFECTS[effect.id] = effect
@@ -95,7 +98,7 @@ def forget(kind: type[Effect]) -> None:
 def effect_of(identifier: str) -> Effect:
     """Return the effect of an id; ValueError names those there are."""
     if identifier not in EFFECTS:
-        raise ValueError(f"{identifier} is no known effect; there are {', '.join(EFFECTS)}")
+        raise InvalidValueError(f"{identifier} is no known effect; there are {', '.join(EFFECTS)}")
     return EFFECTS[identifier]
 
 

@@ -12,8 +12,8 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from ahrs_service.adoption import may_adopt
+from ahrs_service.errors import ParamError
 from ahrs_service.links.component.unit_request import unit_request
-from ahrs_service.links.errors import ParamError
 from ahrs_service.links.logs.param_files import ParamValue
 from ahrs_service.links.logs.parameter_values import (
     ARDUPILOT,

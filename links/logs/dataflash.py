@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ahrs_service.adoption import Vehicle
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import RecordingError
 from ahrs_service.links.logs.dataflash_covariates import dataflash_covariates
 from ahrs_service.links.logs.dataflash_instances import at_rate, clock_rate_of, table_of
 from ahrs_service.links.logs.dataflash_tables import DataFlashFile, read_tables

@@ -13,8 +13,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from ahrs_service.errors import RecordingError
 from ahrs_service.kernel import kernel
-from ahrs_service.links.errors import RecordingError
 from ahrs_service.records import Rows
 
 Bytes = npt.NDArray[np.uint8]

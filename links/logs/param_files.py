@@ -16,7 +16,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from ahrs_service.links.errors import ParamFileError
+from ahrs_service.errors import ParamFileError
 
 Dialect = Literal["mission-planner", "qgroundcontrol"]
 

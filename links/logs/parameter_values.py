@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ahrs_service.links.errors import ParamError
+from ahrs_service.errors import ParamError
 from ahrs_service.links.logs.param_files import REAL32, ParamValue
 from ahrs_service.links.mavlink.codec import dialect
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, cast
 
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import RecordingError
 from ahrs_service.links.logs.recorded_parameters import RecordedParameters
 from ahrs_service.links.logs.recording import Log, Recording
 from ahrs_service.settings import IntakeSettings

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import RecordingError
 from ahrs_service.links.mavlink.codec import CRC_EXTRA
 from ahrs_service.links.mavlink.frames import (
     FRAME_DTYPE,

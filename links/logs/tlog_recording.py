@@ -8,7 +8,7 @@ import numpy as np
 
 from ahrs_service.adoption import AUTOPILOT_INVALID, NO_VEHICLE, Vehicle, first_vehicle
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import RecordingError
 from ahrs_service.links.logs.parameter_values import decode, param_name
 from ahrs_service.links.logs.readings import from_tables
 from ahrs_service.links.logs.recorded_parameters import (

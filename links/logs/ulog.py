@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ahrs_service.adoption import Vehicle
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import RecordingError
 from ahrs_service.links.logs.parameter_values import PX4
 from ahrs_service.links.logs.recorded_parameters import ParameterHistory, RecordedParameters
 from ahrs_service.links.logs.recording import OWN, AttitudeReference, Log, Recording, own_readings

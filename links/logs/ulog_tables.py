@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy.typing as npt
 from pyulog import ULog
 
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import RecordingError
 from ahrs_service.links.mavlink.unit_name import unit_name
 
 Table = dict[str, npt.NDArray[Any]]

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import RecordingError
 from ahrs_service.links.mavlink.codec import CRC_EXTRA, dialect
 from ahrs_service.links.mavlink.frames import MARKER_V2, STAMP_BYTES, Bytes, checksum
 from ahrs_service.links.mavlink.layouts import table_dtype

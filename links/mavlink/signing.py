@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from ahrs_service.links.errors import SigningError
+from ahrs_service.errors import SigningError
 from ahrs_service.links.mavlink.frames import (
     MARKER_V1,
     MARKER_V2,

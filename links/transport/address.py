@@ -4,7 +4,7 @@ import asyncio
 import socket
 from typing import Any
 
-from ahrs_service.links.errors import LinkOpenError, UriError
+from ahrs_service.errors import LinkOpenError, UriError
 
 
 def host_and_port(uri: str, rest: str, default_host: str | None) -> tuple[str, int]:

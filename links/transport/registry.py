@@ -3,7 +3,7 @@
 from importlib import import_module
 from typing import Final, cast
 
-from ahrs_service.links.errors import UriError
+from ahrs_service.errors import UriError
 from ahrs_service.links.transport.link import Link, OnBytes, OnState
 
 SCHEMES: Final = {

@@ -7,7 +7,7 @@ from typing import Final
 
 import serial
 
-from ahrs_service.links.errors import LinkOpenError, UriError
+from ahrs_service.errors import LinkOpenError, UriError
 from ahrs_service.links.transport.link import OnBytes, OnState, ReopeningLink
 from ahrs_service.links.transport.stream import FdStream
 

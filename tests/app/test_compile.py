@@ -59,7 +59,7 @@ def test_in_a_terminal_a_bar_counts_them(python):
 
 def test_the_kernels_ahead_are_all_that_may_be_called_and_no_other():
     ahead = reachable(pipeline.batch)
-    below = (pipeline.batch, pipeline.take, heading.correct, mekf.turn_rows)
+    below = (pipeline.batch, pipeline.take, heading.correct, mekf.transition_rows)
     assert {each.py_func.__code__ for each in below} < ahead
     assert pipeline.step.py_func.__code__ not in ahead
     assert reachable(to_euler) == {to_euler.py_func.__code__}

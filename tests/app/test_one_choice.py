@@ -14,8 +14,8 @@ from ahrs_service.app.cli import main
 from ahrs_service.app.diagnose.loaded_recording import load
 from ahrs_service.app.files import config_file
 from ahrs_service.app.replay.replay_log import replay_log
+from ahrs_service.errors import RecordingError
 from ahrs_service.estimator import Estimator
-from ahrs_service.links.errors import RecordingError
 from ahrs_service.links.logs.recording_formats import read_recording
 from ahrs_service.links.logs.session_marks import MarkKind, mark_messages
 from ahrs_service.links.logs.tlog import tlog_record

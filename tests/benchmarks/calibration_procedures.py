@@ -27,11 +27,11 @@ from ahrs_service.app.replay.replay_log import replay_log
 from ahrs_service.calibration import known_rotations, multi_pose, pose_rotations, six_position
 from ahrs_service.calibration.allan import fit_coefficients
 from ahrs_service.calibration.columns import ImuColumns
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.noise import gate_noise
 from ahrs_service.calibration.poses import directions, find_poses, groups_of
 from ahrs_service.calibration.rate_table import Mounting, fit_encoder
 from ahrs_service.calibration.triad import TriadFit
+from ahrs_service.errors import CalibrationError
 from ahrs_service.records import Floats
 from ahrs_service.sensor.parameters import TriadCalibration
 from ahrs_service.settings import IntakeSettings

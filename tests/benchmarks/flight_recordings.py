@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ahrs_service import intake
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import RecordingError
 from ahrs_service.links.logs.recording import AttitudeReference
 from ahrs_service.links.logs.recording_formats import READERS, read_recording
 from ahrs_service.records import SAMPLE_DTYPE, Kind, Rows, empty

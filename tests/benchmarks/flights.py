@@ -39,8 +39,8 @@ from ahrs_service.app.estimate.arrays import estimate_columns
 from ahrs_service.app.estimate.sample_columns import read_columns
 from ahrs_service.app.files import config_file
 from ahrs_service.comparison import Comparison, compare
+from ahrs_service.errors import RecordingError
 from ahrs_service.estimator import Estimator
-from ahrs_service.links.errors import RecordingError
 from ahrs_service.records import (
     Airframe,
     Flag,

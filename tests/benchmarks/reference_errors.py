@@ -31,7 +31,7 @@ from ahrs_service.diagnosis.input import flight_misfit
 from ahrs_service.diagnosis.input.diagnosis_input import Recorded
 from ahrs_service.diagnosis.input.flight_misfit import FlightResidual
 from ahrs_service.diagnosis.search.forward_search import extend
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import RecordingError
 
 BOUNDS_S = (20.0, 60.0, 600.0)
 LATE = "imu_time_offset"

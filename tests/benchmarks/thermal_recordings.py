@@ -18,10 +18,10 @@ from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
 from ahrs_service.calibration.columns import ImuColumns
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.thermal.poses import joined, still_rows
 from ahrs_service.calibration.thermal.rows import ThermalRows
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.errors import CalibrationError
 from ahrs_service.links.logs.dataflash_tables import read_tables
 from ahrs_service.links.logs.recording_formats import read_recording
 from ahrs_service.records import Floats, ImuSource, Kind, Rows

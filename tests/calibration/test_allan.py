@@ -12,7 +12,7 @@ from ahrs_service.calibration.allan import (
     overlapping_deviation,
     random_walk_at,
 )
-from ahrs_service.calibration.errors import CalibrationError
+from ahrs_service.errors import CalibrationError
 from ahrs_service.sensor.noise import TriadNoise, sensor_noise
 
 

@@ -15,9 +15,9 @@ from ahrs_service.calibration.columns import (
     check_temperature,
     flat_tops,
 )
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.poses import check_clipped_poses, find_poses
 from ahrs_service.calibration.triad import ideal
+from ahrs_service.errors import CalibrationError
 from tests.calibration.conftest import poses_of
 
 G = 9.80665

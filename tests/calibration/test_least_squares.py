@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.least_squares import gauss_newton, linear_fit
 from ahrs_service.calibration.multi_pose import norm_residuals
+from ahrs_service.errors import CalibrationError
 
 
 def curve(parameters, t, y):

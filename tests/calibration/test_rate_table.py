@@ -7,7 +7,6 @@ import pytest
 from scipy.stats import chi2
 
 from ahrs_service.calibration.columns import ImuColumns
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.rate_table import (
     Mounting,
     fit_encoder,
@@ -17,6 +16,7 @@ from ahrs_service.calibration.rate_table import (
     plateaus,
 )
 from ahrs_service.calibration.verdict import judge
+from ahrs_service.errors import CalibrationError
 
 K = np.array([[1.01, 0.004, -0.002], [0.003, 0.985, 0.005], [-0.006, 0.001, 1.02]])
 B = np.array([0.004, -0.002, 0.006])

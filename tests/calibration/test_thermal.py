@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from ahrs_service.calibration.columns import ImuColumns
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.thermal.procedure import calibrate_thermal
 from ahrs_service.calibration.verdict import Level
+from ahrs_service.errors import CalibrationError
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration
 
 RATE_HZ = 10.0

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from ahrs_service.calibration.columns import ImuColumns
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.thermal.poses import joined, still_rows
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
+from ahrs_service.errors import CalibrationError
 
 RATE_HZ = 20.0
 

@@ -7,9 +7,9 @@ import pytest
 
 from ahrs_service.app.cli import main
 from ahrs_service.calibration.columns import ImuColumns
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.multi_pose import fit_accelerometer
 from ahrs_service.calibration.poses import find_poses
+from ahrs_service.errors import CalibrationError
 
 
 def recording(shared, name):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ahrs_service.app.replay.replay_log import replay_log
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import RecordingError
 from ahrs_service.records import Phase
 from ahrs_service.settings import FusionSettings, Settings
 

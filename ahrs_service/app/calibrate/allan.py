@@ -34,9 +34,9 @@ from ahrs_service.calibration.allan import (
     overlapping_deviation,
 )
 from ahrs_service.calibration.columns import AXES, ImuColumns, check_stream_unit
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.guide import guide_recording
 from ahrs_service.calibration.poses import Stillness, find_poses, resolution
+from ahrs_service.errors import CalibrationError
 from ahrs_service.records import Floats
 
 EXIT_DONE: Final = 0

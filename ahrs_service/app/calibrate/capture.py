@@ -16,11 +16,9 @@ import numpy as np
 from ahrs_service.app import intake_choice
 from ahrs_service.calibration.autopilots.double_compensation import already_compensated
 from ahrs_service.calibration.columns import ImuColumns
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.chosen_imu import choose_imu
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
-from ahrs_service.errors import ConfigError
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import CalibrationError, ConfigError, RecordingError
 from ahrs_service.links.logs.recording import Recording
 from ahrs_service.links.logs.recording_formats import KNOWN, read_recording
 from ahrs_service.records import ImuSource, Rows

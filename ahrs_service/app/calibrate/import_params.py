@@ -30,8 +30,8 @@ from ahrs_service.app.calibrate.export import (
 )
 from ahrs_service.app.files import calibration_file
 from ahrs_service.calibration.autopilots import ardupilot_params, px4_params
+from ahrs_service.errors import ParamError
 from ahrs_service.links.component.parameter_client import ParameterClient
-from ahrs_service.links.errors import ParamError
 from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.sensor.provenance import Provenance, SourceRecording
 

@@ -32,10 +32,9 @@ from ahrs_service.app.calibrate.allan import longest_still
 from ahrs_service.app.replay.replay_log import replay_recording
 from ahrs_service.calibration.allan import overlapping_deviation, random_walk_at
 from ahrs_service.calibration.columns import AXES, ImuColumns
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.guide import guide_recording
 from ahrs_service.calibration.noise import GateNoise, gate_noise
-from ahrs_service.errors import ConfigError
+from ahrs_service.errors import CalibrationError, ConfigError
 from ahrs_service.links.logs.recording_formats import read_recording
 from ahrs_service.records import Rows
 from ahrs_service.settings import IntakeSettings, Settings

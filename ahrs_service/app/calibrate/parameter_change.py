@@ -14,8 +14,8 @@ from typing import Final
 
 from rich.table import Table
 
+from ahrs_service.errors import LinkError, ParamError
 from ahrs_service.links.component.parameter_client import ParameterClient
-from ahrs_service.links.errors import LinkError, ParamError
 from ahrs_service.links.logs.param_files import Dialect, ParamValue, ParamValues, write_param_file
 from ahrs_service.links.logs.parameter_values import PX4, rounded
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from ahrs_service.app.calibrate.capture import Capture, check_rate, joined
 from ahrs_service.calibration.columns import AXES, ImuColumns, check_stream_unit, flat_tops
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.poses import check_clipped_poses, find_poses, span_of
 from ahrs_service.calibration.verdict import Finding, Level
+from ahrs_service.errors import CalibrationError
 from ahrs_service.records import Rows
 
 LEAST_HZ: Final = 1.0

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.calibration.rotating import turn_and_leverage
+from ahrs_service.calibration.rotating import rotation_and_leverage
 from ahrs_service.effects.thermal_hysteresis import branch
 from ahrs_service.estimator import compile_kernels
 from ahrs_service.links.logs import dataflash_tables
@@ -58,7 +58,7 @@ def kernels_of_calibration() -> None:
     ideal, time_s, still = coefficients(Calibration.ideal()), np.arange(3.0), np.zeros((3, 3))
     compensate_columns(ideal, *forward_columns(ideal, still, still, time_s, time_s), time_s, time_s)
     branch(time_s, 1.0)
-    turn_and_leverage(time_s, still, np.eye(3), np.zeros(3), np.empty((3, 3)), np.empty((3, 9)))
+    rotation_and_leverage(time_s, still, np.eye(3), np.zeros(3), np.empty((3, 3)), np.empty((3, 9)))
 
 
 def _command(*words: str) -> None:

@@ -34,7 +34,7 @@ from ahrs_service.calibration.folding import fold
 from ahrs_service.diagnosis.result import Diagnosis, ResidualSeries, as_json
 from ahrs_service.effects.base import Effect, Values
 from ahrs_service.effects.catalogue import effect_of
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import RecordingError
 from ahrs_service.links.logs.recording_formats import KNOWN
 from ahrs_service.records import Floats
 from ahrs_service.settings import IntakeSettings

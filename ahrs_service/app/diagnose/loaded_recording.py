@@ -16,7 +16,7 @@ from scipy.ndimage import uniform_filter1d
 from ahrs_service.adoption import Vehicle, of_vehicle
 from ahrs_service.app.intake_choice import chosen_imu, intake_of
 from ahrs_service.diagnosis.input.diagnosis_input import Recorded, Series
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import RecordingError
 from ahrs_service.links.logs.recording import AttitudeReference, Recording, TimedValues
 from ahrs_service.links.logs.recording_formats import read_recording
 from ahrs_service.records import IMU_OF_SOURCE, Floats, ImuSource, Kind, Rows

@@ -6,8 +6,7 @@ from pathlib import Path
 
 from ahrs_service.app.diagnose.loaded_recording import Loaded, load
 from ahrs_service.diagnosis.input.diagnosis_input import Recorded, Series
-from ahrs_service.errors import DiagnosisError
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import DiagnosisError, RecordingError
 from ahrs_service.settings import IntakeSettings
 from ahrs_service.simulation.reference import smooth
 

@@ -10,7 +10,7 @@ from ahrs_service.diagnosis.input.diagnosis_input import Recorded
 from ahrs_service.diagnosis.judgement.beside_truth import Truth
 from ahrs_service.effects.base import Effect, Values
 from ahrs_service.effects.catalogue import EFFECTS
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import RecordingError
 
 _LENGTH_SHARE: Final = 0.05
 _RATE_SHARE: Final = 0.2

@@ -11,7 +11,7 @@ from ahrs_service.blind.judging.naive import regression
 from ahrs_service.blind.making.naming import report
 from ahrs_service.diagnosis.diagnose import diagnose
 from ahrs_service.diagnosis.result import as_json
-from ahrs_service.links.errors import LinkError
+from ahrs_service.errors import LinkError
 
 OURS: Final = "diagnose"
 

@@ -45,8 +45,7 @@ from ahrs_service.blind.judging.scoring import Mark, judge, score
 from ahrs_service.blind.making.case import make, request_of
 from ahrs_service.blind.making.oracle import oracle_report
 from ahrs_service.blind.making.plan import controls, plan
-from ahrs_service.errors import ConfigError
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import ConfigError, RecordingError
 
 EXIT_DONE: Final = 0
 EXIT_FAILED: Final = 1

@@ -36,8 +36,8 @@ from ahrs_service.app.replay.export_tlog import write_tlog
 from ahrs_service.app.replay.replay_log import ReplayResult, replay_log
 from ahrs_service.app.replay.report import log_table, summary_table
 from ahrs_service.app.replay.summary import Summary
+from ahrs_service.errors import RecordingError
 from ahrs_service.estimator import compile_kernels
-from ahrs_service.links.errors import RecordingError
 from ahrs_service.links.logs.recording_formats import KNOWN, READERS
 from ahrs_service.settings import Settings
 

@@ -13,9 +13,8 @@ from ahrs_service.app.files import calibration_file, config_file
 from ahrs_service.app.files.calibration_choice import NONE, CalibrationStore
 from ahrs_service.app.intake_choice import intake_of
 from ahrs_service.app.replay.summary import Summary, summarise
-from ahrs_service.errors import ConfigError, StateError
+from ahrs_service.errors import ConfigError, RecordingError, StateError
 from ahrs_service.estimator import Estimator
-from ahrs_service.links.errors import RecordingError
 from ahrs_service.links.logs.recording import Recording
 from ahrs_service.links.logs.recording_formats import read_recording
 from ahrs_service.links.logs.session_marks import Mark, MarkKind

@@ -23,8 +23,7 @@ from ahrs_service.app import intake_choice
 from ahrs_service.app.files import toml_file, twin_file
 from ahrs_service.app.options import not_negative, positive
 from ahrs_service.app.simulate.retrace_recording import flight_along
-from ahrs_service.errors import ConfigError
-from ahrs_service.links.errors import LinkError
+from ahrs_service.errors import ConfigError, LinkError
 from ahrs_service.links.logs.tlog import tlog_record
 from ahrs_service.links.mavlink.codec import Decoder
 from ahrs_service.links.simulated.autopilot import DEFAULT_RATES_HZ, SimulatedAutopilot

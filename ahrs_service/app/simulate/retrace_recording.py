@@ -8,7 +8,7 @@ import numpy as np
 from ahrs_service.app.diagnose.loaded_recording import Loaded, load
 from ahrs_service.attitude_interpolation import gap_limit
 from ahrs_service.diagnosis.input.diagnosis_input import Series
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import RecordingError
 from ahrs_service.records import Floats
 from ahrs_service.settings import IntakeSettings
 from ahrs_service.simulation.imu import Imu

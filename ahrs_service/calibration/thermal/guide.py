@@ -9,11 +9,11 @@ from typing import Final
 import numpy as np
 
 from ahrs_service.calibration.columns import ImuColumns
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.guide import Guidance, Refusal
 from ahrs_service.calibration.poses import directions, sphere_coverage
 from ahrs_service.calibration.thermal.poses import still_rows
 from ahrs_service.calibration.thermal.rows import ThermalRows
+from ahrs_service.errors import CalibrationError
 
 MOVING_S: Final = 5.0  # A choice: five windows of WINDOW_S without rest are motion, not a bump
 STALE_S: Final = 300.0  # A choice: at SLOWEST_DEGC_MIN the slope then stands on half a degree

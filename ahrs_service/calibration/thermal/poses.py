@@ -7,9 +7,9 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from ahrs_service.calibration.columns import ImuColumns
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.poses import Booleans, Stillness, windows_of
 from ahrs_service.calibration.thermal.rows import ThermalRows
+from ahrs_service.errors import CalibrationError
 from ahrs_service.records import Floats, Integers
 
 WINDOW_S: Final = 1.0  # A choice: a mean over it has a hundredth of the noise's variance at 100 Hz

@@ -18,7 +18,6 @@ from ahrs_service.calibration.columns import (
     check_saturation,
     check_temperature,
 )
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.thermal.coloured import Hysteresis, hysteresis
 from ahrs_service.calibration.thermal.fold_choice import TENTHS, HeldOut, hold_out
 from ahrs_service.calibration.thermal.poses import joined, still_rows
@@ -34,6 +33,7 @@ from ahrs_service.calibration.verdict import (
     judge,
     span_finding,
 )
+from ahrs_service.errors import CalibrationError
 from ahrs_service.records import Floats
 from ahrs_service.sensor.curve import Curve
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration

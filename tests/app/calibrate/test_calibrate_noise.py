@@ -9,8 +9,8 @@ import pytest
 
 from ahrs_service.app.cli import main
 from ahrs_service.app.simulate.command import write_tlog
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.noise import gate_noise, steady_motion
+from ahrs_service.errors import CalibrationError
 from ahrs_service.records import ESTIMATE_DTYPE, Phase, empty
 from ahrs_service.rotation import quaternion_columns
 from ahrs_service.sensor.noise import TriadNoise

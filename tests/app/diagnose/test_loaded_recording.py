@@ -7,7 +7,7 @@ import pytest
 
 from ahrs_service.app.diagnose.loaded_recording import load, vibration_of
 from ahrs_service.app.diagnose.recorded_columns import with_velocity
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import RecordingError
 from ahrs_service.simulation.scenario import make_flight
 
 FLIGHTS = Path(__file__).parents[4] / "shared" / "data" / "flights"

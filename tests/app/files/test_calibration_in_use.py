@@ -14,8 +14,7 @@ from ahrs_service.app.files.calibration_choice import CalibrationStore
 from ahrs_service.app.live.daemon import Daemon
 from ahrs_service.app.replay.export_rrd import write_recording
 from ahrs_service.app.replay.replay_log import replay_log
-from ahrs_service.errors import ConfigError
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import ConfigError, RecordingError
 from ahrs_service.links.mavlink.codec import Encoder, dialect
 from ahrs_service.rotation import euler_columns
 from ahrs_service.sensor.parameters import Calibration, TriadCalibration

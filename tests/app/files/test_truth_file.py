@@ -7,7 +7,7 @@ import pytest
 
 from ahrs_service.app.files import truth_file
 from ahrs_service.diagnosis.input.diagnosis_input import Recorded, Series
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import RecordingError
 
 
 def recorded_for(seconds, rate_hz=100.0):

@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from ahrs_service.errors import ConfigError
-from ahrs_service.links.errors import LinkOpenError
+from ahrs_service.errors import ConfigError, LinkOpenError
 from ahrs_service.links.mavlink.signing import Signer, key_from_text
 from ahrs_service.settings import LinkSettings, Settings, ViewerSettings
 from tests.live import names, recorded_in

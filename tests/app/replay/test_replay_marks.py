@@ -4,8 +4,8 @@ import pytest
 
 from ahrs_service.app.files import config_file
 from ahrs_service.app.replay.replay_log import replay_log
+from ahrs_service.errors import RecordingError
 from ahrs_service.estimator import Estimator
-from ahrs_service.links.errors import RecordingError
 from ahrs_service.links.logs.readings import from_message
 from ahrs_service.links.logs.session_marks import MarkKind, mark_messages
 from ahrs_service.links.mavlink.codec import Decoder, Encoder

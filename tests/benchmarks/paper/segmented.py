@@ -13,12 +13,12 @@ Segments jump at their borders, as the paper's do, or meet there (`continuous`).
 
 import numpy as np
 
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.thermal.basis import Basis, segments
 from ahrs_service.calibration.thermal.records import curve_of, matrix_rows
 from ahrs_service.calibration.thermal.rows import ThermalRows
 from ahrs_service.calibration.thermal.smooth_choice import SEGMENT_DEGC
 from ahrs_service.calibration.triad import vector
+from ahrs_service.errors import CalibrationError
 from ahrs_service.records import Floats
 from ahrs_service.sensor.parameters import TriadCalibration
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ahrs_service.calibration.errors import CalibrationError
 from ahrs_service.calibration.thermal.rows import ThermalRows
+from ahrs_service.errors import CalibrationError
 from ahrs_service.sensor.compensation import compensate_columns
 from ahrs_service.sensor.parameters import Calibration, coefficients
 from tests.benchmarks.paper.segmented import fit_conventional, fit_improved

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ahrs_service.errors import ParamError
 from ahrs_service.links.component.parameter_client import ParameterClient
-from ahrs_service.links.errors import ParamError
 from ahrs_service.links.logs.param_files import INT32, REAL32, ParamValue
 from ahrs_service.links.logs.parameter_values import (
     ARDUPILOT,

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import RecordingError
 from ahrs_service.links.logs.dataflash import read_dataflash
 from ahrs_service.links.logs.dataflash_tables import DataFlashFile, read_tables
 from ahrs_service.links.logs.recording_formats import read_recording

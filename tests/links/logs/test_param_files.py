@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ahrs_service.links.errors import ParamFileError
+from ahrs_service.errors import ParamFileError
 from ahrs_service.links.logs.param_files import (
     INT32,
     REAL32,

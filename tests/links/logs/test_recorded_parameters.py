@@ -1,7 +1,7 @@
 import pytest
 from pyulog import ULog
 
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import RecordingError
 from ahrs_service.links.logs.parameter_values import ARDUPILOT, PX4
 from ahrs_service.links.logs.recording_formats import read_recorded_parameters
 from ahrs_service.links.logs.tlog import tlog_record

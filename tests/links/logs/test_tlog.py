@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import RecordingError
 from ahrs_service.links.logs.tlog import TlogFile, read_tlog, tlog_record
 from ahrs_service.links.mavlink.codec import Encoder, dialect
 from ahrs_service.links.mavlink.frames import strip_signature

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import RecordingError
 from ahrs_service.links.logs.session_marks import MarkKind, mark_messages
 from ahrs_service.links.logs.tlog import tlog_record
 from ahrs_service.links.logs.tlog_recording import recording_from_tlog

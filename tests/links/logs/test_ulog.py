@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pyulog import ULog
 
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import RecordingError
 from ahrs_service.links.logs.ulog import read_ulog
 from ahrs_service.records import ImuSource, Kind
 

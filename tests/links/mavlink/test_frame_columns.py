@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pymavlink import mavutil
 
-from ahrs_service.links.errors import RecordingError
+from ahrs_service.errors import RecordingError
 from ahrs_service.links.mavlink.frame_columns import MessageColumns, tlog_bytes
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ahrs_service.links.errors import SigningError
+from ahrs_service.errors import SigningError
 from ahrs_service.links.mavlink.codec import Encoder, dialect
 from ahrs_service.links.mavlink.frames import strip_signature
 from ahrs_service.links.mavlink.signing import (

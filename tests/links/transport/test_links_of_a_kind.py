@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ahrs_service.links.errors import LinkOpenError
+from ahrs_service.errors import LinkOpenError
 from ahrs_service.links.transport.link import LinkState
 from ahrs_service.links.transport.registry import open_link
 from tests.links.far_end import Heard, frame, joined, run

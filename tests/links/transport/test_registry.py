@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
-from ahrs_service.links.errors import UriError
+from ahrs_service.errors import UriError
 from ahrs_service.links.transport.address import host_and_port, place
 from ahrs_service.links.transport.link import Link, LinkState
 from ahrs_service.links.transport.registry import SCHEMES, open_link
