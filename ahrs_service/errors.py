@@ -28,10 +28,10 @@ class AhrsError(Exception):
 
     >>> from ahrs_service import AhrsError, read_recording
     >>> try:
-    ...     read_recording("flight.txt")
+    ...     read_recording("missing.tlog")
     ... except AhrsError as error:
     ...     print(error)
-    flight.txt: no such file; check the path
+    missing.tlog: no such file; check the path
     """
 
     exit_code: ClassVar[int] = 1

@@ -51,7 +51,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("ahrs_service.links.component.parameter_client.ANSWER_S", 0.03)
     monkeypatch.setattr("ahrs_service.links.component.parameter_client.SILENCE_S", 0.3)
-    monkeypatch.setattr("ahrs_service.links.component.parameter_client.VEHICLE_S", 5.0)
+    monkeypatch.setattr("ahrs_service.links.component.parameter_client.VEHICLE_S", HANG_S)
     calibration_file.save("unit.toml", unit())
     return tmp_path
 
