@@ -11,7 +11,7 @@ _VERSION: Final = int(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
 def unit_name(uid: int, uid2: bytes) -> str:
     """Return the unit's number as hex digits: uid2 without the zeros that fill it up, else uid.
 
-    Empty where the autopilot tells neither.
+    Empty where the autopilot reports neither.
     """
     number = uid2.rstrip(b"\0")
     if number:
@@ -29,7 +29,7 @@ def unit_request(system: int, component: int) -> Any:
 class UnitRequest:
     """Asks for AUTOPILOT_VERSION until it comes: eight times, each time waiting twice as long.
 
-    `unit` is what it said, empty before. Sans I/O.
+    `unit` is its answer, empty before. Sans I/O.
     """
 
     def __init__(self) -> None:
