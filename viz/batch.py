@@ -44,12 +44,12 @@ def write_rrd(
     readings: Rows | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> None:
-    """Write ESTIMATE rows and what goes with them to `path`, whole and with a footer.
+    """Write ESTIMATE rows and their companion data to `path`, whole and with a footer.
 
     The first of `references` is drawn as "theirs"; `temperatures` [degC], `rates` [Hz] and
     `drops` (counts) are (time_ns [N], values [N]) by name; `messages` are (time_ns, level, text);
     `gate` are the limits to which the gate's values are compared; `readings` [N], where given, are
-    those that the estimates came of, shown raw beside them; `progress` is called with the share
+    those behind the estimates, plotted raw next to them; `progress` is called with the share
     done, 0 to 1. All times on the clock of the estimates. Every row is in every series;
     only the 3D scene is thinned, to 25 Hz (see Columns).
     """

@@ -12,7 +12,7 @@ LIVE_WINDOW_S = 60.0
 def blueprint(live: bool, shows_sensor: bool = False) -> rrb.Blueprint:
     """Return the layout; live it follows the stream and shows the last minute.
 
-    With `shows_sensor` a second tab has the sensor's raw output beside the compensated.
+    With `shows_sensor` a second tab has the sensor's raw output next to the compensated.
     """
     window = _last(LIVE_WINDOW_S) if live else None
     plots: rrb.Grid | rrb.Tabs = _plots(window)

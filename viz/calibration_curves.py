@@ -57,7 +57,7 @@ def draw_png(path: Path, view: CalibrationView) -> None:
     for axes, curves in zip(np.ravel(grid), view.panels, strict=True):
         _draw_panel(axes, view.temperature_degc, curves)
     for axes in grid[-1]:
-        axes.set_xlabel("temperature that acts [°C]")
+        axes.set_xlabel("element temperature [°C]")
     grid[0, 0].legend(ncols=3, frameon=False, fontsize=9)
     figure.suptitle(view.title, fontsize=12)
     lines = textwrap.wrap(view.verdict, _WIDTH)

@@ -18,7 +18,7 @@ _STRAY_NS: Final = 60_000_000_000
 
 
 class Clock:
-    """Turns the sender's `time_ns` into the viewer's t [ns]; remembers where it is.
+    """Converts the sender's `time_ns` to the viewer's t [ns]; remembers where it is.
 
     t = time_ns - offset_ns. At a jump the offset changes so that t goes on by what the receiver's
     clock counted meanwhile.

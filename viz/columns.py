@@ -1,4 +1,4 @@
-"""Estimates and what goes with them as Rerun columns; live and replay both come through here."""
+"""Estimates and related data as Rerun columns, for live and replay alike."""
 
 from collections.abc import Iterable
 from typing import Final
@@ -32,7 +32,7 @@ _LABELS: Final = rr.Arrows3D.descriptor_labels()
 
 
 class Columns:
-    """Turns ESTIMATE rows into the viewer's columns; remembers what went before.
+    """Converts ESTIMATE rows to the viewer's columns; keeps state between calls.
 
     Every row goes into every series but two: the 3D scene (the attitude is whole in its series)
     takes the first row of each 40 ms, the IMU's temperature the first of each second. Angles
@@ -55,7 +55,7 @@ class Columns:
         self._time_of: Nanoseconds | None = None
 
     def estimates(self, rows: Rows, raw: Floats | None = None) -> None:
-        """Send ESTIMATE rows [N] in their order, and beside them what the sensor gave.
+        """Send ESTIMATE rows [N] in order, together with the sensor's readings.
 
         `raw` [N, 6] rate [rad/s] and specific force [m/s^2], NaN where it is not to be shown.
         """
@@ -170,7 +170,7 @@ class Columns:
         )
 
     def _each_second(self, t: Nanoseconds, second: Indices, gate: npt.NDArray[np.uint32]) -> None:
-        """At the first sample of each second tell of the second before: the rate, the trust.
+        """At the first sample of each second report the rate and trust of the last second.
 
         The trust is stamped where its second began.
         """

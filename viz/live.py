@@ -38,7 +38,7 @@ class LiveViewer:
     comes late is reported, `queue` the rows that wait for the thread, `period_s` is how often it
     sends. `dropped` counts rows and values that found the queue full; `error` is the last thing
     that went wrong in the thread, or empty; `gate` are the limits as they are now. `shows_sensor`
-    makes room for raw beside compensated values.
+    makes room for raw values next to compensated ones.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class LiveViewer:
     def estimate(self, rows: Rows, readings: Rows | None = None) -> None:
         """Take a copy of ESTIMATE rows, mostly one; never blocks.
 
-        `readings` [N] are those that the estimates came of, to show beside them.
+        `readings` [N] are those behind the estimates, to plot next to them.
         """
         for n in range(len(rows)):
             raw = _NOT_SHOWN
@@ -145,7 +145,7 @@ class LiveViewer:
         self._guarded(recording.disconnect)
 
     def _guarded(self, act: Callable[..., None], *values: Any, **named: Any) -> None:
-        """Whatever fails here is reported by `error` and costs the service nothing else."""
+        """Report any failure by `error`; the service itself goes on."""
         try:
             act(*values, **named)
         except Exception as error:

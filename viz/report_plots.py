@@ -92,7 +92,7 @@ def residual_over_time(
 ) -> Figure:
     """Draw the residuals [N, 6] over time [N] [s], averaged in bins; `spans` [s] are shaded.
 
-    The constant bias that is left is taken off: a turn-on bias is no finding.
+    The remaining constant bias is subtracted: a turn-on bias is not a finding.
     """
     bias = np.nanmean(after, axis=0) if len(after) else np.zeros(len(CHANNELS))
     before, after = before - bias, after - bias

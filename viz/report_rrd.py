@@ -31,7 +31,7 @@ def write_report(
     markdown: str,
     pictures: Mapping[str, bytes],
 ) -> None:
-    """Write residuals [N, 6] at times [N] [s] before and after, and what goes with them.
+    """Write residuals [N, 6] at times [N] [s] before and after, with related data.
 
     `where` are spans (begin, end [s], regime) by name of a finding; `markdown` the words;
     `pictures` PNG files by name. Times are on the recording's clock.
@@ -67,7 +67,7 @@ def write_report(
 def _send_spans(
     recording: rr.RecordingStream, entity: str, spans: Sequence[Span], time_s: Floats
 ) -> None:
-    """Send a state that says its regime inside the spans and is quiet outside."""
+    """Send a state that names its regime inside the spans and is empty outside."""
     texts = sorted({text or "shows" for _, _, text in spans})
     values = [_QUIET, *texts]
     recording.log(

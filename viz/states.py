@@ -1,4 +1,4 @@
-"""What the state timeline says: the gate with its reasons, and what was wrong with samples."""
+"""Texts of the state timeline: the gate with its reasons, and faults of samples."""
 
 from typing import Final
 

@@ -103,7 +103,7 @@ def check_temperature(temperature_degc: Floats, least_span_k: float = 0.0) -> No
 
 
 def flat_tops(values: Floats) -> npt.NDArray[np.bool_]:
-    """Tell which of `values` [N, 3] are at an end of their axis's range.
+    """Return which of `values` [N, 3] are at an end of their axis's range.
 
     There the same extreme value comes three times or more on end, which noise does not do where it
     spans many steps of the sensor's resolution (thirty). Where it does not, a jump of ten times

@@ -1,12 +1,12 @@
 """From physical effects to the calibration that takes them away live.
 
-A sensor of calibration (K + dK, B, c, G) on whose ideal reading u effects act gives
+A sensor of calibration (K + dK, B, c, G) with effects on its ideal reading u gives
 
     N - E_T = (K + dK(T)) (u + D u + D_T(T) u + beta(T) + Gamma f) + B + c(T) + G f
 
 which is a sensor of another calibration: matrix (K + dK)(I + D + D_T), bias c + (K + dK) beta,
 g-sensitivity G + K Gamma. So what diagnosis accepted is compensated by the estimator's own step,
-with no second place for physics: what an effect is in a calibration it says itself
+with no second place for physics: each effect defines its own form in a calibration
 (`Effect.in_calibration`), here it is only summed. The accelerometer's k f^2 becomes the drift's a,
 to first order in k. What does not have this form is left, each with its reason.
 """
@@ -27,7 +27,7 @@ Part = tuple[Effect, Contribution]
 SPAN_DEGC: Final = (-40.0, 85.0)
 """Where the curves of a calibration that had none hold: the sensors' own range."""
 
-_ONE_LAG: Final = "a triad has one lag, and another thermal effect of it acts without"
+_ONE_LAG: Final = "a triad has one lag, and another thermal effect of it has none"
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Folded:
 
 
 def fold(calibration: Calibration, effects: Iterable[tuple[Effect, Values]]) -> Folded:
-    """Return the calibration of a sensor of `calibration` on which `effects` act as well."""
+    """Return the calibration of a sensor of `calibration` that has `effects` as well."""
     taken: list[Part] = []
     left: list[tuple[str, str]] = []
     known = [(effect, effect.in_calibration(values)) for effect, values in effects]
@@ -63,7 +63,7 @@ def fold(calibration: Calibration, effects: Iterable[tuple[Effect, Values]]) -> 
 def _has_rival(
     effect: Effect, calibration: Calibration, known: list[tuple[Effect, Contribution | None]]
 ) -> bool:
-    """Whether another thermal model acts on a triad of an effect."""
+    """Whether another thermal model applies to a triad of an effect."""
     for triad in ("gyro", "accel"):
         if effect.acts_on(triad):
             own: TriadCalibration = getattr(calibration, triad)

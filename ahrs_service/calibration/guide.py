@@ -1,4 +1,4 @@
-"""What to tell a person who puts a unit from pose to pose: what to do next, and what went wrong.
+"""Instructions for moving a unit from pose to pose: what to do next, and what went wrong.
 
 Everything is said from the samples so far alone, so a live session and its recording say the same.
 """
@@ -62,7 +62,7 @@ class Refusal:
 class Guidance:
     """What to show: what to do next, what is there, what was refused, and whether all is done.
 
-    `state` says what the unit does now; `progress` names the parts with what they have; `coverage`
+    `state` is what the unit does now; `progress` names the parts with what they have; `coverage`
     is the share that is there of what `covers` names.
     """
 

@@ -1,6 +1,6 @@
 """Gyros from turns of known angle about the vertical, as on a table with an edge or a turntable.
 
-Before and after such a turn the same face is up. The unit turns about one axis of its own, which is
+Before and after such a turn the same face is up. The unit turns about one of its axes, which is
 where the accelerometer sees up, so the summed output is K u theta + B T (S5 of the seed has known
 rates in its place). Full circles need no protractor: an edge to come back to will do.
 """
@@ -48,7 +48,7 @@ def find_rotations(columns: ImuColumns, poses: Rows, accel: TriadFit, unit_deg: 
     """Return the turns about the vertical between one pose and the next.
 
     The true angle is the multiple of `unit_deg` next to the measured one; a turn by another angle
-    is left out. CalibrationError where the gyros see another axis turn than the accelerometers.
+    is left out. CalibrationError where the gyros measure another axis than the accelerometers.
     """
     bias, _ = rest_bias(poses)
     up = directions(accel.compensate(poses["accel_m_s2"]))

@@ -1,4 +1,4 @@
-"""Least squares with what they say about themselves: covariance, condition, convergence."""
+"""Least squares with their diagnostics: covariance, condition, convergence."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,8 +1,9 @@
 """Accelerometer from any twelve or more still poses, without a table.
 
 Wherever the unit lies, the compensated force has the length of gravity. Gauss-Newton on that length
-gives A = C (N - B); a length cannot see a turn of all axes, so C is the symmetric one, the smallest
-change (Tedaldi et al., ICRA 2014, fix the axes in another way). The gyros: calibration.pose_turns.
+gives A = C (N - B); a length cannot observe a rotation of C, so C is chosen symmetric, the
+smallest change (Tedaldi et al., ICRA 2014, fix the axes in another way).
+The gyros: calibration.pose_rotations.
 """
 
 from collections.abc import Callable

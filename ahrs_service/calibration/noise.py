@@ -40,7 +40,7 @@ class GateNoise:
 
 
 def steady_motion(estimates: Rows) -> Booleans:
-    """Tell which estimates [N] ESTIMATE_DTYPE are of steady motion.
+    """Return which estimates [N] ESTIMATE_DTYPE are of steady motion.
 
     Blocks of five seconds while running, in which roll and pitch stay within 6 deg of their
     means and heading, free of its mean slope, too; of them not those in which a quantity of the

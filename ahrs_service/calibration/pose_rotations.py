@@ -1,7 +1,7 @@
-"""Gyros from the turns between still poses, without a table: gravity is what they must turn.
+"""Gyros from the turns between still poses, without a table: gravity is the reference.
 
-From one pose to the next the summed rates must turn the direction of gravity as the calibrated
-accelerometers see it turned. That gives all nine elements of the gyros' matrix in the
+From one pose to the next the summed rates must rotate the direction of gravity as the calibrated
+accelerometers measure it. That gives all nine elements of the gyros' matrix in the
 accelerometers' axes; the bias is their mean at rest (Tedaldi, Pretto, Menegatti, "A robust and easy
 to implement method for IMU calibration without external equipments", ICRA 2014).
 """
@@ -35,7 +35,7 @@ _IDENTITY: Final[Floats] = np.eye(3).ravel()
 def rotations_between(columns: ImuColumns, poses: Rows) -> list[tuple[int, int, int]]:
     """Return (pose before, first sample, sample after the last) for each usable turn.
 
-    From the middle of one pose to that of the next, where gravity turned by 20 deg or more, no
+    From the middle of one pose to that of the next, where gravity rotated by 20 deg or more, no
     sample is missing on the way, and the gyros are within their range.
     """
     clipped = np.any(flat_tops(columns.gyro_rad_s), axis=1)

@@ -1,7 +1,7 @@
 """When the unit is still, and what it measures there: poses out of a stream of IMU samples.
 
 A window is still where the scatter of each axis is that of the sensor's own noise, which the
-quietest windows of the same recording tell. The mean rate tells a slow steady turn from rest.
+quietest windows of the same recording give. The mean rate separates a slow steady turn from rest.
 """
 
 import math
@@ -73,7 +73,7 @@ class Stillness:
 class Windows:
     """Mean and scatter [W, 3] of rate and force in windows of `length` samples, one by one.
 
-    `is_still` [W] tells where the scatter is noise and the rate that of rest; `gyro_limit` and
+    `is_still` [W] is true where the scatter is noise and the rate that of rest; `gyro_limit` and
     `accel_limit` [3] are what scatter may reach, `accel_floor` [3] is the noise of a sample.
     """
 
@@ -164,7 +164,7 @@ def resolution(values: Floats) -> Floats:
 
 
 def _is_whole(time_s: Floats, length: int, interval_s: float) -> Booleans:
-    """Tell which windows have no gap: they last no longer than one and a half times their due."""
+    """Return which windows have no gap: at most one and a half times their nominal length."""
     count = len(time_s) // length
     blocks = time_s[: count * length].reshape(count, length)
     whole: Booleans = (blocks[:, -1] - blocks[:, 0]) < 1.5 * length * interval_s

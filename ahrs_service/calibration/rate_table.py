@@ -1,4 +1,4 @@
-"""Gyros from a rate table: steady known rates, or an encoder that tells the rate at every moment.
+"""Gyros from a rate table: steady known rates, or an encoder that gives the rate at every instant.
 
 The unit is mounted in several ways, so that the table's axis has another direction in it each
 time. Steady rates: the means of the plateaus are N = K A + B (Liu et al., sec. 3). An encoder: K, B
@@ -197,7 +197,7 @@ def _encoder_residuals(
 
 
 def _inside(mounting: Mounting) -> Booleans:
-    """Tell which samples [N] lie within the reference, whatever the lag."""
+    """Return which samples [N] lie within the reference, whatever the lag."""
     time_s, reference_s = mounting.columns.time_s, mounting.time_s
     keep: Booleans = (time_s > reference_s[0] + LARGEST_LAG_S) & (
         time_s < reference_s[-1] - LARGEST_LAG_S

@@ -1,4 +1,4 @@
-"""What the gyros say about a turn: kernels that add up rate over time."""
+"""Rotation by the gyros over a turn: kernels that integrate rate over time."""
 
 import math
 

@@ -129,7 +129,7 @@ def judge(
 
 
 def span_finding(span_degc: tuple[float, float]) -> Finding:
-    """Return what a thermal calibration's span of temperature [degC] says about it."""
+    """Return the findings on a thermal calibration's temperature span [degC]."""
     low, high = span_degc
     span = high - low
     if not span >= SMALLEST_SPAN_K:

@@ -1,8 +1,8 @@
 """What a physical effect is: an equation, its parameters, and what it adds to the ideal reading.
 
-Adding physics is adding a file beside this one: `catalogue` finds it. The simulator adds an effect,
+Adding physics is adding a file in this folder: `catalogue` finds it. The simulator adds an effect,
 diagnosis fits it and `undo` takes it away again, all by the same `add`; what the effect becomes in
-a calibration, or why it cannot, it says itself.
+a calibration, or why it cannot, it defines itself.
 """
 
 from abc import ABC, abstractmethod
@@ -17,7 +17,7 @@ from ahrs_service.errors import InvalidValueError
 from ahrs_service.records import Floats
 
 Triad = Literal["gyro", "accel", "imu"]
-"""What an effect acts on, `imu` being both."""
+"""The triad that an effect applies to; `imu` is both."""
 
 Values = Mapping[str, Floats]
 """Parameters of one effect by name, each an array of its parameter's shape (a number is [])."""
@@ -26,7 +26,7 @@ OfTemperature = Callable[[Floats], Floats]
 """From temperatures [M] [degC] to values [M, 3]."""
 
 REFERENCE_DEGC: Final = 25.0
-"""Where thermal effects are zero unless a twin says otherwise (MPU-6000 data sheet: at 25 degC)."""
+"""Where thermal effects are zero unless a twin sets another (MPU-6000 data sheet: at 25 degC)."""
 
 PER_AXIS: Final = (3,)
 MATRIX: Final = (3, 3)
@@ -34,7 +34,7 @@ MATRIX: Final = (3, 3)
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """What acts on an IMU at N instants; a covariate that is not known is NaN throughout.
+    """Inputs of an IMU's effects at N instants; a covariate that is not known is NaN throughout.
 
     `time_s` [N] on the clock of the recording, `since_power_on_s` [N]; ideal `rate_rad_s` and
     `force_m_s2` [N, 3] at the reference point in body axes, `angular_acceleration_rad_s2` [N, 3];
@@ -130,7 +130,7 @@ class Contribution:
 
     `linear` D [3, 3] [1]; `scale` the diagonal of D_T [1]; `bias` beta [rad/s or m/s^2];
     `g_sensitivity` Gamma [3, 3] [rad s/m]; `quadratic` k [3] [s^2/m]. `lag_s` by how much the
-    temperature that acts is behind the reported one, first order. An effect on both triads
+    element temperature lags the reported one, first order. An effect on both triads
     contributes the same to each.
     """
 
@@ -223,7 +223,7 @@ class Effect(ABC):
         return np.zeros(len(time_s))
 
     def acts_on(self, triad: str) -> bool:
-        """Whether it acts on a triad."""
+        """Whether it applies to a triad."""
         return self.triad in (triad, "imu")
 
     def unknown_need(self, columns: Columns) -> str | None:
@@ -268,7 +268,7 @@ class Effect(ABC):
 def apply(columns: Columns, effects: list[tuple[Effect, Values]]) -> tuple[Floats, Floats]:
     """Return the readings (gyro [N, 3], accel [N, 3]) of an IMU with these effects.
 
-    Every effect acts on the ideal reading, and the additions are summed. Where they are zero the
+    Every effect applies to the ideal reading, and the additions are summed. Where they are zero the
     ideal reading is returned bit for bit.
     """
     gyro, accel = columns.rate_rad_s.copy(), columns.force_m_s2.copy()

@@ -1,4 +1,4 @@
-"""The effects that are known, by id: those of the files beside this one, and what is registered."""
+"""The known effects, by id: those of the files in this folder, and those registered."""
 
 from collections.abc import Iterator
 from importlib import import_module
@@ -69,7 +69,7 @@ EFFECTS: Final[dict[str, Effect]] = {
 def register(kind: type[Kind]) -> type[Kind]:
     """Make the effects of a class known that is not in this package; use it as a decorator.
 
-    ValueError names what the class does not say, or an id that is another's already.
+    ValueError names what the class does not define, or an id already in use.
 
         @register
         @dataclass(frozen=True)

@@ -36,7 +36,7 @@ class EarthRate(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """NaN for an Earth that does not turn."""
+        """NaN for an Earth that does not rotate."""
         return (
             Parameter(
                 "latitude_deg",

@@ -1,4 +1,4 @@
-"""The IMU turned in the vehicle."""
+"""Rotation of the IMU against the vehicle."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -39,7 +39,7 @@ class MountingRotation(Effect):
         return (Parameter("rotvec_rad", "rad", PER_AXIS, 0.18, source, step=1e-3),)
 
     def add(self, columns: Columns, values: Values) -> Addition:
-        """Return the difference of turned and ideal readings."""
+        """Return the difference of rotated and ideal readings."""
         excess = Rotation.from_rotvec(values["rotvec_rad"]).as_matrix()
         if not values["rotvec_rad"].any():
             excess = excess * 0.0

@@ -33,7 +33,7 @@ def _branch(temperature_degc: Floats, width_degc: float, out: Floats) -> None:
 
 
 def branch(temperature_degc: Floats, width_degc: float) -> Floats:
-    """Return h [N] from -1 (cooled) to 1 (warmed): it crosses within `width_degc` of a turn.
+    """Return h [N] from -1 (cooled) to 1 (warmed): it crosses within `width_degc` of a reversal.
 
     The stop operator of Prandtl, dh = 2 dT / width within -1..1, from 0 at the beginning.
     """
@@ -84,7 +84,7 @@ class ThermalHysteresis(Effect):
         )
 
     def grid(self, columns: Columns) -> list[dict[str, float]]:
-        """Return the widths that the temperature crosses both ways: none where it never turns."""
+        """Return the widths that the temperature crosses both ways: none if it never reverses."""
         temperature = columns.temperature_degc
         fall = float((np.maximum.accumulate(temperature) - temperature).max())
         rise = float((temperature - np.minimum.accumulate(temperature)).max())

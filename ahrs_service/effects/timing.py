@@ -1,4 +1,4 @@
-"""Stamps that do not say when a sample was taken."""
+"""Time stamps that differ from the time of sampling."""
 
 from abc import abstractmethod
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """The way back: what effects have added to readings, and the ideal motion behind these.
 
 Late stamps are set right first; for the rest u <- reading - added(u), which gains a factor of the
-effects' slope per iteration: 2 % or less by the data sheets, 1 - H where a filter H acts. What was
+effects' slope per iteration: 2 % or less by the data sheets, 1 - H for a filter H. What was
 cut off is lost.
 """
 

@@ -135,7 +135,7 @@ class Curve:
         return value
 
     def on(self, breaks_degc: npt.ArrayLike) -> "Curve":
-        """Return the same curve with more borders; they must hold all of its own."""
+        """Return the same curve with more borders; they must include all its present ones."""
         breaks = np.asarray(breaks_degc, np.float64)
         own, table = np.array(self.breaks_degc), self.table()
         segment = np.clip(np.searchsorted(own, breaks[:-1], "right") - 1, 0, len(own) - 2)

@@ -106,7 +106,7 @@ def forward_columns(
     """Return the outputs [N, 3] of gyros and accelerometers for columns of inputs.
 
     Rate [N, 3] [rad/s], specific force [N, 3] [m/s^2]; temperature [N] [degC] as the thermometer
-    shows it at `time_s` [N] [s]; without times it is the temperature that acts on both.
+    shows it at `time_s` [N] [s]; without times it is the element temperature of both.
     """
     gyro_raw, accel_raw = np.empty(rate.shape), np.empty(force.shape)
     _forward_rows(

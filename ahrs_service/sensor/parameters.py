@@ -1,4 +1,4 @@
-"""What one sensor's calibration says of both triads, and the form in which the kernels read it.
+"""One sensor's calibration of both triads, and the form in which the kernels read it.
 
 The model of each triad contains eq. (1) of Liu et al. and eq. (2) and (3):
 
@@ -10,7 +10,7 @@ temperature; f is the specific force [m/s^2], which acts on gyros by G. All that
 is zero at room temperature and given by curves (sensor.curve). The conventional model has dK and
 c, the improved one a, b and c, a smooth one c and dK; to the kernels they are the same.
 
-T is the temperature that acts: a sensing element warms later than the thermometer shows
+T is the element temperature: a sensing element warms later than the thermometer reads
 (`thermal_lag_s` > 0) or, where the thermometer stands apart, before it (< 0): sensor.thermometer.
 
 As TOML, for app.calibration_file (what is left out is zero):
@@ -42,7 +42,7 @@ Matrix = tuple[Vector, Vector, Vector]
 SEGMENTS: Final = 64
 """Largest number of temperature segments of a triad: -40..70 degC in 5 degC are 22."""
 COLUMNS: Final = {"a": slice(0, 3), "b": slice(3, 6), "c": slice(6, 9), "matrix": slice(9, 18)}
-"""Where each curve stands in the kernels' table; dK row by row."""
+"""Index of each curve in the kernels' table; dK row by row."""
 
 IDENTITY: Final[Matrix] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 NIL: Final[Matrix] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))

@@ -1,4 +1,4 @@
-"""What the filter may expect of a gyro whose calibration tells how well it knows the bias."""
+"""Prior of the gyro bias, from a calibration that gives the bias's uncertainty."""
 
 import math
 from typing import Final
@@ -16,7 +16,7 @@ def narrow(parameters: Rows, calibration: Calibration) -> Rows:
     Changes and returns `parameters` [1] of the pipeline. What is left over temperature has the RMS
     r of the worst axis and is alike over L = CORRELATION_DEGC, so over a small change d of
     temperature its variance grows by 2 r^2 d / L. The sigma at power-on follows only where the
-    calibration also tells how the bias differs from one power-on to the next.
+    calibration also gives how the bias differs from one power-on to the next.
     """
     known = calibration.gyro.uncertainty
     if known.bias_residual is None:

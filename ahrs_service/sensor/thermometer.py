@@ -1,4 +1,4 @@
-"""From the temperature that a sensor reports to those that act on its gyros and accelerometers.
+"""From the temperature a sensor reports to those of its gyro and accelerometer elements.
 
 A lag tau > 0 is a sensing element that warms later than the thermometer: a first-order low pass. A
 lag tau < 0 is a thermometer that stands apart and warms later: the low pass is undone by a lead,
@@ -24,7 +24,7 @@ THERMOMETER_FIELDS: Final = [("filtered_degc", "f8", 2), ("thermometer_time_ns",
 
 @kernel
 def _act(lag_s: float, memory: Floats, place: int, reported_degc: float, dt_s: float) -> float:
-    """Move the filter of one triad on by `dt_s`; return the temperature that acts."""
+    """Move the filter of one triad on by `dt_s`; return the element temperature."""
     if lag_s == 0.0:
         return reported_degc
     pole_s = lag_s if lag_s > 0.0 else -lag_s / (LEAD_GAIN - 1.0)
@@ -40,10 +40,10 @@ def _act(lag_s: float, memory: Floats, place: int, reported_degc: float, dt_s: f
 def read_thermometer(
     coefficients: Record, state: Record, time_ns: int, reported_degc: float
 ) -> tuple[float, float]:
-    """Return the temperatures that act on gyros and accelerometers at `time_ns` [degC].
+    """Return the element temperatures of gyros and accelerometers at `time_ns` [degC].
 
     NaN where none is known. After a gap, or a time without, the temperature that comes then is
-    taken for that of the whole time; a stamp before the last moves nothing.
+    assumed to hold throughout; a stamp before the last moves nothing.
     """
     gyro_lag_s = coefficients["gyro"]["thermal_lag_s"]
     accel_lag_s = coefficients["accel"]["thermal_lag_s"]
@@ -81,9 +81,9 @@ def _acting_rows(
 
 
 def acting_columns(coefficients: Rows, temperature_degc: Floats, time_s: Floats | None) -> Floats:
-    """Return the acting temperatures [N, 2] (gyros, accelerometers) for the reported [N] [degC].
+    """Return the element temperatures [N, 2] (gyros, accelerometers) for the reported [N] [degC].
 
-    `time_s` [N] [s]; without it `temperature_degc` is what acts on both already.
+    `time_s` [N] [s]; without it `temperature_degc` is already that of the elements.
     """
     temperature = np.ascontiguousarray(temperature_degc, np.float64)
     if time_s is None:

@@ -1,4 +1,4 @@
-"""What acts on a simulated sensor, as the effects take it."""
+"""Inputs of a simulated sensor's effects."""
 
 from typing import Final
 
@@ -19,7 +19,7 @@ def columns_of(
     current_a: Floats | None,
     vibration_m_s2: Floats,
 ) -> Columns:
-    """Return what acts on a sensor that makes the true motion `truth` [N] TRUTH_DTYPE.
+    """Return the effect inputs of a sensor that makes the true motion `truth` [N] TRUTH_DTYPE.
 
     The recording begins POWER_ON_S after power-on; slopes are central differences.
     """

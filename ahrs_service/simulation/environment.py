@@ -69,7 +69,7 @@ class Propeller:
 
     `accel_m_s2` and `gyro_rad_s` are 1-sigma per axis at full throttle; the shaft turns at
     `idle_hz` to `full_hz`. `harmonics` are the relative sizes of once, twice... per turn. Sampled
-    slower than it shakes, it aliases as it does in a real recording.
+    below the vibration's frequency, it aliases as it does in a real recording.
     """
 
     __pydantic_config__: ClassVar = {"extra": "forbid"}

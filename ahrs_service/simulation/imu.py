@@ -22,9 +22,9 @@ from ahrs_service.simulation.environment import Propeller
 
 @dataclass(frozen=True, slots=True)
 class Imu:
-    """A sensor and what acts on it: the twin of a real one.
+    """A sensor and its effects: the twin of a real one.
 
-    Its calibration, its noise, the propeller that shakes it (None for none), and physical effects
+    Its calibration, its noise, the propeller's vibration (None for none), and physical effects
     with their parameters.
     """
 
@@ -69,7 +69,7 @@ class Imu:
     def sibling(self, rng: np.random.Generator) -> "Imu":
         """Return another sensor of this kind, drawn at random.
 
-        Every error of the calibration is multiplied by a standard normal draw of its own, the
+        Every error of the calibration is multiplied by its own standard normal draw, the
         drift with temperature by one for each axis: the given errors are its 1-sigma.
         """
         calibration = replace(

@@ -39,7 +39,7 @@ _GRAVITY_NED: Final = np.array([0.0, 0.0, STANDARD_GRAVITY_M_S2])
 
 @dataclass(frozen=True, slots=True)
 class ReferenceTrack:
-    """What a recording says of the motion, on one clock [s]; what it lacks has no rows.
+    """A recording's data on the motion, on one clock [s]; what it lacks has no rows.
 
     `attitude_s` [N], `ned_from_body` [N, 4] wxyz; `velocity_s` [M], `velocity_ned_m_s` [M, 3];
     `position_s` [K], `position_ned_m` [K, 3]. Without velocity and position it is at rest.
@@ -80,7 +80,7 @@ class ReferenceTrack:
         return rows
 
     def _translation(self) -> tuple[Floats, Floats, int]:
-        """Times and values of what tells the translation, and how often that was derived."""
+        """Times and values of the data for the translation, and how often that was derived."""
         if len(self.velocity_s):
             return self.velocity_s, self.velocity_ned_m_s, 1
         return self.position_s, self.position_ned_m, 0

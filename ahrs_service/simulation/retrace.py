@@ -13,7 +13,7 @@ from ahrs_service.simulation.scenario import FLIGHT_DTYPE, Flight
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What acted on the sensor beside motion, at the instants [N] of a flight; NaN is unknown.
+    """Effect inputs other than motion, at the instants [N] of a flight; NaN is unknown.
 
     `temperature_degc` of the IMU, `vibration_m_s2` 1-sigma, `current_a`, `throttle` 0 to 1,
     `airspeed_m_s`.

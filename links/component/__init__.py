@@ -1,1 +1,1 @@
-"""The service as a MAVLink component: what it says, asks for and answers. Sans I/O."""
+"""The service as a MAVLink component: what it sends, requests and answers. Sans I/O."""

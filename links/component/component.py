@@ -1,7 +1,7 @@
 """The service as a MAVLink component: identity, heartbeat, requests, answers. Sans I/O.
 
 Messages go in by `on_message`, what is to be sent comes out of it and of `tick`; time is what the
-caller says. Only the adopted autopilot is believed; whoever else speaks on the link is counted.
+caller says. Only the adopted autopilot is believed; other senders on the link are counted.
 """
 
 from collections import deque
@@ -58,7 +58,7 @@ class Component:
         self._texts = StatusTexts()
         self._trim = TrimRequest()
         self._unit = UnitRequest()
-        # A recording that tells its unit makes a calibration that does.
+        # A recording that names its unit makes a calibration that does.
         self._wants_unit = bool(settings.sensor.calibration or settings.recorder.directory)
         self._autopilot = _INVALID
         self._state = "boot"
@@ -101,7 +101,7 @@ class Component:
 
     @property
     def traffic(self) -> Traffic:
-        """What was heard from whom."""
+        """Messages received, by sender."""
         return self._neighbours.traffic
 
     @property
@@ -138,7 +138,7 @@ class Component:
                     self._unit.begin()
             if self._lost:
                 self._lost = False
-                self._tell("info", "vehicle heard again; asking for its messages anew")
+                self._report("info", "vehicle heard again; asking for its messages anew")
                 self._trim.begin(self._autopilot)
         return []
 
@@ -159,17 +159,17 @@ class Component:
         answers = self.timesync.on_message(message, now_s)
         if self.timesync.jumps != jumps:
             jump_s = self.timesync.jump_ns / 1e9
-            self._tell("warning", f"the autopilot's clock jumped by {jump_s:+.1f} s against ours")
+            self._report("warning", f"the autopilot's clock jumped by {jump_s:+.1f} s against ours")
             if jump_s < 0.0:
                 self._restart(now_s)
         return answers
 
     def _restart(self, now_s: float) -> None:
-        """Begin anew with an autopilot that forgot what was asked of it."""
+        """Start again with an autopilot that lost our requests."""
         if now_s - self._restarted_s < RESTART_SIGNS_S:
             return
         self._restarted_s = now_s
-        self._tell("warning", "the autopilot restarted; asking for its messages anew")
+        self._report("warning", "the autopilot restarted; asking for its messages anew")
         self.intervals.forget()
         self._trim.begin(self._autopilot)
 
@@ -201,7 +201,7 @@ class Component:
 
     def _on_parameter(self, message: Any, sender: Sender, now_s: float) -> list[Any]:
         del sender
-        # Whoever asks all components for their lists asks us too.
+        # A request to all components for their lists includes us.
         is_list = message.get_type() == "PARAM_REQUEST_LIST"
         reaches_us = message.target_system in (0, self.system) and (
             message.target_component in (0, self.component)
@@ -280,7 +280,7 @@ class Component:
     def _lose(self) -> None:
         if not self._lost:
             self._lost = True
-            self._tell("warning", f"no heartbeat of the vehicle for {VEHICLE_LOST_S:.0f} s")
+            self._report("warning", f"no heartbeat of the vehicle for {VEHICLE_LOST_S:.0f} s")
             self.intervals.forget()
 
     def _fall_back_on_imu(self, now_s: float) -> None:
@@ -290,7 +290,9 @@ class Component:
             if rate is None or (other is not None and other.wanted_hz >= rate.wanted_hz):
                 continue
             if rate.state in ("unsupported", "denied") or rate.is_silent(now_s):
-                self._tell("warning", f"{name} does not come ({rate.state}); asking for {fallback}")
+                self._report(
+                    "warning", f"{name} does not come ({rate.state}); asking for {fallback}"
+                )
                 self.intervals.want(fallback, rate.wanted_hz)
 
     def announce(self, text: str, is_good: bool, now_s: float) -> None:
@@ -314,7 +316,7 @@ class Component:
             source.clear()
         return events
 
-    def _tell(self, level: str, text: str) -> None:
+    def _report(self, level: str, text: str) -> None:
         self._events.append((level, text))
 
 

@@ -3,7 +3,7 @@
 COMMAND_ACK names the command and not the message, so one request is under way at a time. A denied
 rate steps down a ladder (ArduPilot grants at most 0.8 of its loop rate, in whole milliseconds),
 a rate that is lost (a ground station or a reboot reset it) is asked for again, and an autopilot
-that knows no such command is asked once in the old way, by REQUEST_DATA_STREAM.
+that does not support this command is asked once by the older REQUEST_DATA_STREAM.
 """
 
 from collections import deque
@@ -41,7 +41,7 @@ LOST_SHARE: Final = 0.5
 WHEN_NEW: Final = frozenset({"GPS_RAW_INT"})
 """Sent only when there is something new, however often it was asked for,"""
 LOST_SHARE_WHEN_NEW: Final = 0.02
-"""so that only silence shows a loss."""
+"""so only silence indicates a loss."""
 LATE_ANSWER_S: Final = 0.3
 """How much later than the first the answers to repeated requests may come."""
 SLOW_STREAM_HZ: Final = 5
@@ -56,7 +56,7 @@ _REFUSED: Final = (int(dialect.MAV_RESULT_DENIED), int(dialect.MAV_RESULT_FAILED
 
 @dataclass(slots=True)
 class Rate:
-    """One message: rates asked, granted and measured [Hz], and how that stands in words."""
+    """One message: rates asked, granted and measured [Hz], and their status in words."""
 
     name: str
     message_id: int
@@ -239,7 +239,7 @@ class Intervals:
         rate.patience_s = min(2.0 * rate.patience_s, LONGEST_ASK_AGAIN_S)
 
     def _next_to_ask(self, now_s: float) -> Rate | None:
-        """Return what waits longest, so that nothing is kept from its turn."""
+        """Return the request that has waited longest, so none is starved."""
         first = min(self.rates.values(), key=lambda rate: rate.retry_s, default=None)
         return first if first is not None and first.retry_s <= now_s else None
 

@@ -1,7 +1,7 @@
 """Reads and sets the parameters of the autopilot at the other end of a link.
 
 Every value asked for is asked for again until it comes, every value set is compared with the one
-that the autopilot tells. Source: mavlink.io, Parameter Protocol.
+that the autopilot reports. Source: mavlink.io, Parameter Protocol.
 """
 
 import asyncio
@@ -29,7 +29,7 @@ from ahrs_service.links.transport.link import Link, LinkState, Peer
 from ahrs_service.links.transport.registry import open_link
 
 COMPONENT: Final = int(dialect.MAV_COMP_ID_ONBOARD_COMPUTER2)
-"""Not that of the service, which may be running beside."""
+"""Not that of the service, which may be running at the same time."""
 WINDOW: Final = 8
 """Requests under way at once: ArduPilot queues 20, a slow radio takes fewer."""
 ATTEMPTS: Final = 8
@@ -228,7 +228,7 @@ class ParameterClient:
         return [name for name in names if name not in self._told and name not in self._errors]
 
     async def write(self, name: str, value: ParamValue) -> ParamValue:
-        """Set one parameter and return what the autopilot then says it is.
+        """Set one parameter and return the value that the autopilot then reports.
 
         That may differ from what was asked: the autopilot refused or clamped it. ParamError where
         no answer comes.
@@ -267,7 +267,7 @@ class ParameterClient:
         await self._ask([name], seconds)
 
     async def unit(self) -> str:
-        """Return the number of the autopilot's board, "" where it does not tell."""
+        """Return the number of the autopilot's board, "" where it is not reported."""
         for attempt in range(_UNIT_ATTEMPTS):
             if self._unit is None:
                 self._send(unit_request(self.system, self.component))

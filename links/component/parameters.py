@@ -21,7 +21,7 @@ _EVENTS: Final = 64
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter: where it stands in the settings, and its bounds in the settings' unit."""
+    """One parameter: its place in the settings, and its bounds in the settings' unit."""
 
     section: str
     key: str
@@ -111,7 +111,7 @@ class ParameterServer:
             self._to_send[name] = None
 
     def tick(self) -> list[Any]:
-        """Return the next few answers, so that a list does not flood a slow link."""
+        """Return the next few answers, so a list does not flood a slow link."""
         names = list(itertools.islice(self._to_send, _PER_TICK))
         for name in names:
             del self._to_send[name]

@@ -1,4 +1,4 @@
-"""STATUSTEXT to the ground station: sparse, in chunks of 50 bytes, the last word always said."""
+"""STATUSTEXT to the ground station: sparse, in chunks of 50 bytes, the latest always sent."""
 
 from collections import deque
 from typing import Any, Final
@@ -14,7 +14,7 @@ _REMEMBERED: Final = 16
 
 
 class StatusTexts:
-    """Texts wait here for their turn: one a second, the same one at most every 30 s.
+    """Queue of texts: one a second, the same one at most every 30 s.
 
     A text that comes back too early is held until its 30 s are over, unless another one follows:
     what the ground station read last is what holds.

@@ -19,7 +19,7 @@ def unit_request(system: int, component: int) -> Any:
 class UnitRequest:
     """Asks for AUTOPILOT_VERSION until it comes: eight times, each time waiting twice as long.
 
-    `unit` is what it said, empty before. Sans I/O.
+    `unit` is its answer, empty before. Sans I/O.
     """
 
     def __init__(self) -> None:

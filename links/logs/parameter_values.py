@@ -26,7 +26,7 @@ _INTEGERS: Final = {
     5: ("u4", "<I"),
     6: ("i4", "<i"),
 }
-"""By MAV_PARAM_TYPE: the numpy type and where its bytes stand in those of the float."""
+"""By MAV_PARAM_TYPE: the numpy type and the position of its bytes in the float."""
 
 
 def rounded(value: ParamValue) -> ParamValue:

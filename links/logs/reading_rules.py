@@ -29,7 +29,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """Message fields that one function turns into one field of a reading; None is no reading."""
+    """Message fields that one function converts to one field of a reading; None is no reading."""
 
     into: str
     fields: tuple[str, ...]
@@ -118,6 +118,6 @@ RAW_IMU is taken in mG, mrad/s, mgauss, as ArduPilot sends it; `TlogLog.recordin
 size says that it is raw counts. A message whose accel and gyro are all exactly zero is of an IMU
 that does not exist and gives no reading; nor does one with neither updated. HIGHRES_IMU with
 `fields_updated` 0 comes from senders that do not fill it: all its fields count as updated.
-GLOBAL_POSITION_INT is all zero while the autopilot knows no velocity. PARAM_VALUE gives the trim.
+GLOBAL_POSITION_INT is all zero while the autopilot has no velocity. PARAM_VALUE gives the trim.
 Source: mavlink.io, common message set.
 """

@@ -1,4 +1,4 @@
-"""From MAVLink messages to readings, by message and by column, as reading_rules says."""
+"""From MAVLink messages to readings, by message and by column, following reading_rules."""
 
 import struct
 from collections.abc import Callable

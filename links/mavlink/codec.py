@@ -168,7 +168,7 @@ class Decoder:
         self._scan = np.zeros(1, SCAN_DTYPE)
         self._rows = np.zeros(_SCAN_ROWS, FRAME_DTYPE)
         self._bad_signature = 0
-        # Compiles the scanner here, so that no message waits for the compiler.
+        # Compiles the scanner here, so no message waits for the compiler.
         self.feed(b"")
 
     @property

@@ -1,6 +1,6 @@
 """The velocity over ground that a GPS receiver measured, before any filter of the autopilot.
 
-A receiver's velocity comes from Doppler shifts: it knows nothing of the vehicle's attitude, and it
+A receiver's velocity comes from Doppler shifts: it is independent of the vehicle's attitude, and it
 does not run away.
 """
 
@@ -54,7 +54,7 @@ def course_likeness(table: Rows) -> float:
     north = (table["lat"][later] - table["lat"][now].astype(np.float64)) * _METRES_PER_UNIT
     east = (table["lon"][later] - table["lon"][now].astype(np.float64)) * _METRES_PER_UNIT
     east *= np.cos(np.radians(1e-7 * table["lat"][now]))
-    # The course half-way, so that a turn does not count.
+    # The course at mid-interval, so a turn does not matter.
     between = (now + later) // 2
     apart = np.hypot(north, east) > 1e-2 * _MOVING_CM_S * 1e-6 * _SHORTEST_STEP_US
     moving = apart & (table["vel"][between] >= _MOVING_CM_S) & (steps_us < _LONGEST_STEP_US)
@@ -66,5 +66,5 @@ def course_likeness(table: Rows) -> float:
 
 
 def course_is_doubtful(likeness: float) -> bool:
-    """Tell whether the course cannot be one, by its likeness to the track; never for NaN."""
+    """Return whether the course disagrees with the track too much to be one; false for NaN."""
     return likeness < _LEAST_LIKENESS

@@ -1,4 +1,4 @@
-"""AHRS_TRIM: how ArduPilot's vehicle is turned against its board.
+"""AHRS_TRIM: the rotation between ArduPilot's vehicle and its board.
 
 ArduPilot logs and sends the IMU in the board's axes, and the attitude of the vehicle:
 v_vehicle = R(AHRS_TRIM_X about x, then AHRS_TRIM_Y about y) v_board. Source: ArduPilot
@@ -28,7 +28,7 @@ def trim_of_parameter(name: str | bytes, value: float) -> tuple[float, float] | 
 
 
 def trim_notes(readings: Rows) -> tuple[str, ...]:
-    """Say how far the samples of each vehicle are turned, by the last values in the readings."""
+    """Return a note on each vehicle's rotated samples, by the last values in the readings."""
     senders = readings["system"].astype(np.int64) << 8 | readings["component"]
     is_trim, is_imu = readings["kind"] == Kind.TRIM, readings["kind"] == Kind.IMU
     notes = []

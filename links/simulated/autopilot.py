@@ -1,6 +1,6 @@
 """A simulated autopilot: sends a flight as MAVLink 2 and answers as ArduPilot does.
 
-Sans I/O: frames go out by `due`, messages come in by `on_message`, time is what the caller says.
+Sans I/O: frames go out by `due`, messages come in by `on_message`, time is given by the caller.
 """
 
 import heapq
@@ -52,7 +52,7 @@ class AutopilotCounts:
 def granted_interval_ms(interval_us: int, loop_rate_hz: float) -> int | None:
     """Return the interval [ms] that ArduPilot grants for one asked, None where it denies.
 
-    Whole milliseconds, at most one minute, and no more than 0.8 messages per turn of the loop.
+    Whole milliseconds, at most one minute, and no more than 0.8 messages per cycle of the loop.
     """
     asked_ms = min(max(interval_us // 1000, 1), _SLOWEST_MS)
     return asked_ms if asked_ms >= int(1e6 / loop_rate_hz / _SHARE_OF_LOOP) else None
@@ -62,7 +62,7 @@ class SimulatedAutopilot:
     """A fixed wing under ArduPilot that flies a precomputed flight; component 1 of its system.
 
     `rows` [N] are the flight at `rate_hz`, which is also the rate of the autopilot's loop: every
-    message goes out at a turn of the loop with the values and the time of that turn, so truth
+    message goes out at a cycle of the loop with the values and the time of that cycle, so truth
     and measurements of one message agree exactly. Times are seconds since the flight began.
     """
 
@@ -114,7 +114,7 @@ class SimulatedAutopilot:
         return interval_ms * 1000
 
     def _set_interval(self, name: str, interval_us: int, now_us: int) -> None:
-        """Send `name` at multiples of the interval from now on, so that like rates coincide."""
+        """Send `name` at multiples of the interval from now on, so equal rates coincide."""
         self._interval_us[name] = interval_us
         self._queue = [entry for entry in self._queue if entry[3] != name]
         heapq.heapify(self._queue)

@@ -2,7 +2,7 @@
 
 ArduPilot casts values, leaves a group out of the list while its ENABLE is 0 and yet answers for
 its names, and is silent about a name it does not have; PX4 sends integers by their bytes and
-tells of an unknown name in a STATUSTEXT. Source: ArduPilot libraries/AP_Param/AP_Param.cpp,
+reports an unknown name in a STATUSTEXT. Source: ArduPilot libraries/AP_Param/AP_Param.cpp,
 libraries/GCS_MAVLink/GCS_Param.cpp; PX4 src/modules/mavlink/mavlink_parameters.cpp.
 """
 

@@ -28,7 +28,7 @@ class LinkState(Enum):
 
 
 OnState = Callable[[LinkState, str], None]
-"""Called with a new state and a sentence that says why."""
+"""Called with a new state and the reason as a sentence."""
 
 
 @dataclass(slots=True)
@@ -36,7 +36,7 @@ class LinkCounts:
     """What passed and what did not.
 
     `reads` datagrams, or reads of a stream; `sends` frames accepted; `send_failures` frames that
-    `send` refused; `connects` times the link came up; `peers_refused` strangers turned away.
+    `send` refused; `connects` times the link came up; `peers_refused` unknown peers rejected.
     """
 
     bytes_in: int = 0
@@ -99,7 +99,7 @@ class Link(ABC):
         return False
 
     def confirm(self, peer: Peer) -> None:  # noqa: B027 - only a link with many peers must know
-        """Tell the link that a valid frame of our vehicle came from this peer.
+        """Report to the link that a valid frame of our vehicle came from this peer.
 
         Call it for every such frame: a `udpin` link sends only to peers confirmed lately.
         """

@@ -1,4 +1,4 @@
-"""Tells systemd how the service fares (sd_notify): datagrams to the socket in NOTIFY_SOCKET."""
+"""Reports the service's state to systemd (sd_notify): datagrams to the socket in NOTIFY_SOCKET."""
 
 import os
 import socket
@@ -25,7 +25,7 @@ class ServiceNotifier:
         self._send("READY=1" + (f"\nSTATUS={_line(status)}" if status else ""))
 
     def watchdog(self) -> None:
-        """The working loop turns."""
+        """The main loop is running."""
         self._send("WATCHDOG=1")
 
     def status(self, text: str) -> None:
@@ -33,7 +33,7 @@ class ServiceNotifier:
         self._send(f"STATUS={_line(text)}")
 
     def stopping(self) -> None:
-        """The service has begun to end."""
+        """The service is shutting down."""
         self._send("STOPPING=1")
 
     def close(self) -> None:

@@ -95,7 +95,7 @@ class TcpLink(ReopeningLink):
 
 
 class TcpInLink(Link):
-    """Serves one TCP client at a time; a further one is turned away.
+    """Serves one TCP client at a time; further ones are rejected.
 
     A client that has been silent for three seconds gives way to the next, since one that lost its
     network comes back on a new connection while the old one still looks alive.

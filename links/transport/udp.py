@@ -11,7 +11,7 @@ from ahrs_service.links.transport.link import Link, LinkState, OnBytes, OnState,
 
 DATAGRAM_BYTES: Final = 65536
 BURST: Final = 32
-"""Datagrams taken in one turn of the event loop, so that a flood leaves time for the rest."""
+"""Datagrams read per iteration of the event loop, so a flood leaves time for other work."""
 RECEIVE_BUFFER_BYTES: Final = 1 << 20
 MAX_PEERS: Final = 8
 PEER_SILENCE_S: Final = 10.0
@@ -28,7 +28,7 @@ def _datagram_socket(family: int) -> socket.socket:
 class UdpInLink(Link):
     """Listens on a UDP port and sends to the peers that were confirmed lately, at most eight.
 
-    Whoever sends is heard, nobody is answered before `confirm`: a forged source address costs no
+    Every sender is read, none is answered before `confirm`: a forged source address costs no
     memory and draws no traffic to its victim.
     """
 
@@ -112,8 +112,8 @@ class UdpInLink(Link):
 class UdpOutLink(ReopeningLink):
     """Sends to one UDP address and takes datagrams from nowhere else.
 
-    The socket is connected, so the system tells when nothing listens there; the link then stands
-    DOWN and goes on sending until it is heard. It is opened anew when the network went away.
+    The socket is connected, so the system reports when nothing listens there; the link then stands
+    DOWN and goes on sending until it is heard. It is reopened after the network was lost.
     """
 
     is_datagram: ClassVar[bool] = True

@@ -1,4 +1,4 @@
-"""The temperature that acts, against the analytic answers of first-order lags."""
+"""The element temperature, against the analytic answers of first-order lags."""
 
 import numpy as np
 import pytest

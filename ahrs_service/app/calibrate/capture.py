@@ -1,6 +1,6 @@
 """From a recording or the readings of a live session to the IMU columns that procedures take.
 
-The columns are in the axes that the autopilot sends, not turned by its trim, and of one IMU message
+The columns are in the axes the autopilot sends, not rotated by its trim, and of one IMU message
 throughout: the one that a replay would settle on, or the one named.
 """
 
@@ -36,8 +36,8 @@ _E2: Final = 0.00669437999014
 class Capture:
     """IMU columns and where they come from: IMU message, sample rate [Hz], hash of the file.
 
-    `unit` is the number of the autopilot's board, "" where the recording does not tell it.
-    `compensated` says what the autopilot had taken off these samples before, as far as is known.
+    `unit` is the number of the autopilot's board, "" where the recording does not have it.
+    `compensated` names what the autopilot had removed from these samples, as far as is known.
     `recording` is what was read, for whoever replays it.
     """
 
@@ -145,7 +145,7 @@ def joined(captures: list[Capture]) -> ImuColumns:
 
 
 def add_gravity(parser: argparse.ArgumentParser) -> None:
-    """Add what tells the local gravity."""
+    """Add the arguments for local gravity."""
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
         "--latitude",
@@ -159,7 +159,7 @@ def add_gravity(parser: argparse.ArgumentParser) -> None:
 
 
 def gravity_of(arguments: argparse.Namespace) -> float:
-    """Return the gravity [m/s^2] that the arguments tell; ConfigError where it is not of Earth."""
+    """Return the gravity [m/s^2] given by the arguments; ConfigError where it is not Earth's."""
     if arguments.gravity is not None:
         if not 9.7 < arguments.gravity < 9.9:
             raise ConfigError(
@@ -175,7 +175,7 @@ def gravity_of(arguments: argparse.Namespace) -> float:
 
 
 def check_rate(capture: Capture, least_hz: float, why: str) -> None:
-    """Raise CalibrationError where a recording is too slow for what it is to tell."""
+    """Raise CalibrationError where a recording's rate is too low for its purpose."""
     if not capture.rate_hz >= least_hz:
         raise CalibrationError(
             f"{capture.path.name}: {capture.source} comes at {capture.rate_hz:.1f} Hz, {why} needs "

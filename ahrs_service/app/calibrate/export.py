@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--orientation",
         type=int,
         metavar="N",
-        help="how the board is turned, as AHRS_ORIENTATION or SENS_BOARD_ROT (default: as the "
+        help="how the board is rotated, as AHRS_ORIENTATION or SENS_BOARD_ROT (default: as the "
         "autopilot or --compensated-by has it, else 0)",
     )
     parser.add_argument(
@@ -181,7 +181,7 @@ async def _over_link(
 
 
 async def _check_unit(client: ParameterClient, calibrations: Mapping[int, Calibration]) -> None:
-    """Refuse calibrations of another board; one that does not tell its number is believed."""
+    """Refuse calibrations of another board; one that does not report its number is accepted."""
     uids = {calibration.uid for calibration in calibrations.values()} - {""}
     unit = await client.unit() if uids else ""
     if unit and uids - {unit}:
@@ -197,7 +197,7 @@ async def _converted(
     calibrations: Mapping[int, Calibration],
     out: Console,
 ) -> dict[str, float]:
-    """Return the values to write, by what the autopilot tells of itself; show what they lose."""
+    """Return the values to write, by what the autopilot reports of itself; show what they lose."""
     current: dict[str, float] = {}
     for imu in calibrations:
         current |= await calibration_parameters(client, imu)

@@ -5,7 +5,7 @@ ahrs-service calibrate import flight.bin --imu 2 --out unit2.toml
 ahrs-service calibrate import --link udpin:127.0.0.1:14550 --out unit.toml
 
 The parameters come from a .param file, from a recording that carries them, or from the autopilot.
-The calibration says what they do to the raw sensor, exactly. What an autopilot sends and logs it
+The calibration has exactly their effect on the raw sensor. What an autopilot sends and logs it
 has compensated by them already.
 """
 

@@ -9,8 +9,8 @@ Examples:
   ahrs-service calibrate multi-pose poses.tlog --out configs/calibrations/A0042.toml
   ahrs-service calibrate multi-pose --link serial:/dev/ttyACM0:115200 --poses 24 --serial A0042
 
-With --link the terminal tells which directions are missing and sees by itself when the unit is
-still. All that is heard is kept in a .tlog, and what is found is what the same command finds in it.
+With --link the terminal shows which directions are missing and detects when the unit is still.
+All that is received is kept in a .tlog, and what is found is what the same command finds in it.
 
 """
 

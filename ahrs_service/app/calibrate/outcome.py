@@ -106,9 +106,9 @@ def updated(
 
 
 def unit_of(arguments: argparse.Namespace, captures: list[Capture]) -> Calibration:
-    """Return what the file `--out` says so far, else an ideal calibration, of the captures' unit.
+    """Return the calibration in the file `--out`, else an ideal calibration, of the captures' unit.
 
-    Serial, board and IMU are as given, as the file says, as the recordings say. ConfigError where
+    Serial, board and IMU: as given, else of the file, else of the recordings. ConfigError where
     they are of different units, for the figures of one harm another.
     """
     path: Path | None = arguments.out

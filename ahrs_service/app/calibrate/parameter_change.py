@@ -79,7 +79,7 @@ async def plan(client: ParameterClient, wanted: Mapping[str, float]) -> list[Cha
 async def carry_out(
     client: ParameterClient, changes: list[Change], backup: Path, say: Callable[[str], None]
 ) -> None:
-    """Write what is needed, the old values first to `backup`; ParamError tells how far it came."""
+    """Write what is needed, the old values first to `backup`; ParamError reports how far it got."""
     old = {change.name: change.old for change in changes}
     write_param_file(
         backup,

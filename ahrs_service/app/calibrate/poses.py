@@ -14,13 +14,13 @@ from ahrs_service.records import Rows
 LEAST_HZ: Final = 1.0
 """Slower samples have no window of eight in any pose that a person would hold."""
 LEAST_ROTATION_HZ: Final = 20.0
-"""Slower gyros lose the course of a turn by hand, which lasts about a second."""
+"""Slower gyros cannot follow a turn by hand, which lasts about a second."""
 
 _WARM_K: Final = 3.0
 
 
 def still_poses(captures: list[Capture]) -> tuple[ImuColumns, Rows]:
-    """Return all columns and their still poses, checked; CalibrationError says what is wrong."""
+    """Return all columns and their still poses, checked; CalibrationError names the fault."""
     for capture in captures:
         check_rate(capture, LEAST_HZ, "telling rest from motion")
     columns = joined(captures)

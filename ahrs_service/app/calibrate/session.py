@@ -2,7 +2,7 @@
 
 The link, the requests for messages and the recording are the daemon's own. What the person is asked
 to do comes from the samples so far alone (calibration.guide), and the calibration comes from the
-.tlog once it is whole, so that nothing is lost and the same command finds the same again.
+.tlog once it is whole, so nothing is lost and the same command gives the same result.
 """
 
 import argparse
@@ -104,7 +104,7 @@ class Session:
             intake=intake,
             link=dataclasses.replace(defaults.link, uri=uri, imu_rate_hz=rate_hz),
             recorder=RecorderSettings(str(path), 0.0, 0.0),
-            # The unit is turned over and over: nobody is to fly by this attitude.
+            # The unit is being rotated by hand: this attitude must not be flown by.
             publish=PublishSettings(0.0, 0.0, 0.0),
         )
         self.console = Console(stderr=True)
@@ -150,7 +150,7 @@ class Session:
             # A long session takes longer to look through; the link must not wait for it.
             await asyncio.sleep(max(_LOOK_S, 4.0 * took_s))
             if self._daemon.component.system and not asked:
-                # The answers are recorded, and tell what the autopilot takes off its samples.
+                # The answers are recorded, and show what the autopilot removes from its samples.
                 asked = True
                 system, component = self._daemon.component.vehicle
                 self._daemon.send(dialect.MAVLink_param_request_list_message(system, component))

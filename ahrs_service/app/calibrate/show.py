@@ -1,7 +1,7 @@
 """Look at a calibration: its figures, what it is made from, its verdict, its curves.
 
 Bias is the output without input, scale how much more than the input the output changes, both of
-the sensor before compensation, with all that acts at that temperature.
+the sensor before compensation, with all terms at that temperature.
 
 Examples:
   ahrs-service calibrate show configs/calibrations/sim-1.toml

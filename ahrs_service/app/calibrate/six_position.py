@@ -8,8 +8,8 @@ Examples:
   ahrs-service calibrate six-position poses.tlog --out configs/calibrations/A0042.toml
   ahrs-service calibrate six-position --link udpin:127.0.0.1:14550 --out A0042.toml --serial A0042
 
-With --link the terminal tells which pose to take and sees by itself when the unit is still. All
-that is heard is kept in a .tlog, and what is found is what the same command finds in it.
+With --link the terminal shows which pose to take and detects when the unit is still. All
+received messages are kept in a .tlog, and what is found is what the same command finds in it.
 
 """
 

@@ -15,8 +15,8 @@ Examples:
   ahrs-service calibrate thermal cold1.bin cold2.bin --json
   ahrs-service calibrate thermal --link udpin:127.0.0.1:14550 --span 30 --out A0042.toml
 
-With --link the terminal tells how far the temperature has come, and ends by itself. All that is
-heard is kept in a .tlog, and what is found is what the same command finds in it.
+With --link the terminal shows the temperature reached so far, and ends by itself. All that is
+received is kept in a .tlog, and what is found is what the same command finds in it.
 
 """
 

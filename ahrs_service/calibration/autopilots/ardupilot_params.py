@@ -184,7 +184,7 @@ def _remarks(
 
 
 def all_names(imu: int) -> list[str]:
-    """Return the names of all that calibrates an IMU, and of what turns the board."""
+    """Return the names of all that calibrates an IMU, and of the board's rotation."""
     names = Names(imu)
     wanted = ["AHRS_ORIENTATION", *map(names.tcal, ("ENABLE", "TMIN", "TMAX"))]
     for triad in _LETTERS:
@@ -201,7 +201,7 @@ def is_thermal(parameters: Mapping[str, float], imu: int = 1) -> bool:
 def forms_of_ardupilot(parameters: Mapping[str, float], imu: int = 1) -> dict[Triad, TriadForm]:
     """Return what ArduPilot does to each triad's output with these parameters.
 
-    ValueError names a parameter that is missing, or says that there is no such IMU.
+    ValueError names a parameter that is missing, or reports that there is no such IMU.
     """
     names = Names(imu)
     thermal = is_thermal(parameters, imu)

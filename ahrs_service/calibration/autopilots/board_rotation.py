@@ -1,9 +1,9 @@
-"""How an autopilot's board is turned against the vehicle: AHRS_ORIENTATION and SENS_BOARD_ROT.
+"""Rotation of an autopilot's board against the vehicle: AHRS_ORIENTATION and SENS_BOARD_ROT.
 
 Both count as MAV_SENSOR_ORIENTATION does. A rotation is given by roll, pitch, yaw: about the
 vehicle's x axis first, then y, then z. Source: ArduPilot libraries/AP_Math/rotations.h and
 tests/test_rotations.cpp (TestEulers); PX4 src/lib/conversion/rotation.h and
-src/lib/sensor_calibration/Utilities.cpp (SENS_BOARD_X_OFF and so on turn the board further) and
+src/lib/sensor_calibration/Utilities.cpp (SENS_BOARD_X_OFF and so on rotate the board further) and
 Accelerometer.cpp.
 """
 
@@ -81,7 +81,7 @@ def body_from_sensor(orientation: int) -> Floats:
 def board_rotation(parameters: Mapping[str, float], imu: int = 1) -> Floats:
     """Return body_from_sensor [3, 3] of an IMU by either autopilot's parameters; else identity.
 
-    PX4 turns a sensor that is not on its board by CAL_ACCn_ROT, which is -1 for those that are.
+    PX4 rotates a sensor that is not on its board by CAL_ACCn_ROT, which is -1 for those that are.
     """
     if "AHRS_ORIENTATION" in parameters:
         return body_from_sensor(int(parameters["AHRS_ORIENTATION"]))
@@ -96,5 +96,5 @@ def board_rotation(parameters: Mapping[str, float], imu: int = 1) -> Floats:
 def _matrix(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Floats:
     matrix = Rotation.from_euler("ZYX", [yaw_deg, pitch_deg, roll_deg], degrees=True).as_matrix()
     whole = np.rint(matrix)
-    # Turns by quarters only swap axes: their zeros are exact.
+    # Rotations by quarters only swap axes: their zeros are exact.
     return np.where(np.abs(matrix - whole) < 1e-12, whole, matrix)

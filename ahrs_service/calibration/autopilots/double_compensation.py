@@ -53,8 +53,8 @@ def already_compensated(
     """Return sentences on what the autopilot had taken off the samples of `source` before.
 
     `parameters` of the recording, as far as it carries them; `autopilot` MAV_AUTOPILOT, where it is
-    known. Each sentence says what was done and what to do; none means that nothing was found,
-    which with no parameters at all says nothing.
+    known. Each sentence gives what was done and what to do; none means that nothing was found,
+    which with no parameters at all proves nothing.
     """
     imu = imu_of(source)
     sentences = []

@@ -65,7 +65,7 @@ def _slopes(error: Floats, value: Floats) -> Floats:
 
 
 def lag_remarks(calibration: Calibration) -> tuple[str, ...]:
-    """Say what is lost where our model knows a lag of the thermometer: no autopilot does."""
+    """Report the loss where our model has a thermometer lag: no autopilot has one."""
     remarks = []
     for triad, unit in (("gyro", "deg/s"), ("accel", "m/s^2")):
         made: TriadCalibration = getattr(calibration, triad)

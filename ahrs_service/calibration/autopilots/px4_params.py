@@ -38,7 +38,7 @@ def _tc(triad: Triad, imu: int, what: str) -> str:
 
 
 def tc_id(triad: Triad, imu: int) -> str:
-    """Return the name of the parameter that tells whose thermal calibration the n-th is."""
+    """Return the name of the parameter with the id of the n-th thermal calibration's sensor."""
     return _tc(triad, imu, "ID")
 
 
@@ -57,7 +57,7 @@ def _index(imu: int) -> int:
 
 
 def device_id(triad: Triad, imu: int) -> str:
-    """Return the name of the parameter that tells which sensor an IMU is."""
+    """Return the name of the parameter with the id of an IMU's sensor."""
     return f"CAL_{_CAL[triad]}{_index(imu)}_ID"
 
 
@@ -149,13 +149,13 @@ def thermal_slot(parameters: Mapping[str, float], triad: Triad, imu: int = 1) ->
 
 
 def known_ids(parameters: Mapping[str, float], imu: int = 1) -> dict[Triad, int]:
-    """Return the ids of an IMU's sensors, of those that the parameters tell."""
+    """Return the ids of an IMU's sensors, as far as the parameters give them."""
     ids = {triad: int(parameters.get(device_id(triad, imu), 0)) for triad in _TC}
     return {triad: number for triad, number in ids.items() if number}
 
 
 def all_names(imu: int) -> list[str]:
-    """Return the names of all that calibrates an IMU, and of what turns the board."""
+    """Return the names of all that calibrates an IMU, and of the board's rotation."""
     names = ["SENS_BOARD_ROT", *(f"SENS_BOARD_{axis}_OFF" for axis in "XYZ")]
     names.append(f"CAL_ACC{_index(imu)}_ROT")
     for triad in _TC:

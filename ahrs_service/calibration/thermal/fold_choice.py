@@ -48,7 +48,7 @@ def halves(rows: ThermalRows) -> Integers:
 def hold_out(
     rows: ThermalRows, zero_degc: float, fit: Fit = fit_chosen, part: Integers | None = None
 ) -> HeldOut | None:
-    """Foretell each half of the rows by the other; `part` [N] numbers other parts than halves.
+    """Predict each half of the rows from the other; `part` [N] numbers other parts than halves.
 
     Everything that the fit chooses it chooses anew without the rows held out. Beyond the
     temperatures seen the nearest one counts, as in use. A level that was not seen says nothing

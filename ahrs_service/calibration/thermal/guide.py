@@ -1,4 +1,4 @@
-"""What to tell a person who lets a unit warm up or cool down: whether it lies still, how far it is.
+"""Instructions while a unit warms up or cools down: whether it lies still, how far it is.
 
 Like the other guides it goes by the samples so far alone, so a session and its recording say the
 same.

@@ -33,7 +33,7 @@ class Lag:
 
     @property
     def sigma_s(self) -> float:
-        """Standard error that the interval stands for [s]."""
+        """Standard error equivalent to the interval [s]."""
         return (self.high_s - self.low_s) / 3.92
 
 
@@ -82,7 +82,7 @@ def estimate_lag(
 ) -> Lag:
     """Estimate the elements' lag by the profile likelihood, between the ends of LARGEST_LAG_S.
 
-    A run at one constant rate cannot tell a lag from a shift of the temperature, and the interval
+    A constant-rate run cannot separate a lag from a shift of the temperature, and the interval
     then is as wide as the search. `structures` of the three axes, `level_output` [P, 3] as
     AxisProblem takes it.
     """

@@ -61,7 +61,7 @@ def still_rows(columns: ImuColumns, session: int = 0) -> tuple[ThermalRows, Ther
 
 
 def _turns(gyro: Floats) -> Booleans:
-    """Tell which windows turn steadily: their rate lies off that of the windows around."""
+    """Return which windows turn steadily: their rate differs from that of the windows around."""
     around = median_filter(gyro, size=(min(_AROUND, max(len(gyro), 1)), 1), mode="nearest")
     turns: Booleans = (np.abs(gyro - around) > TURN_RAD_S).any(axis=1)
     return turns

@@ -3,7 +3,7 @@
 A soak or a ramp, one pose or several. The gyros feel nothing in any of them, so their bias is seen
 as it is; of the accelerometers one pose shows the bias's drift alone, poses all around show what
 temperature does to scale and axes too. What the room's calibration said of matrix and bias stays,
-but for the gyro's bias, which rest tells better.
+but for the gyro's bias, which rest determines better.
 """
 
 from dataclasses import dataclass, replace
@@ -44,7 +44,7 @@ LEAST_SPAN_K: Final = 2.0
 """Below this a recording shows the sensor's noise and no temperature [K]."""
 BIN_DEGC: Final = 5.0  # A choice: the width of the paper's segments, as SEGMENT_DEGC
 LEAST_ROWS: Final = TENTHS
-"""One in each part that is held out: fewer tell nothing of time not seen."""
+"""One in each part that is held out: fewer do not predict unseen time."""
 
 _SIGMA_NODES: Final = 8
 """A choice: pieces of the straight lines that carry the sigma over temperature."""
@@ -60,7 +60,7 @@ Triad = Literal["gyro", "accel"]
 
 @dataclass(frozen=True, slots=True)
 class TriadResult:
-    """What was found of one triad: the fit, what held-out time says, heating against cooling."""
+    """What was found of one triad: the fit, the held-out residuals, heating against cooling."""
 
     fit: SmoothFit
     held_out: HeldOut
@@ -82,7 +82,7 @@ def calibrate_thermal(
 ) -> ThermalResult:
     """Fit both triads' drift over temperature to `sessions`, one power-on each.
 
-    `room` is what is known of the unit already. CalibrationError says what is wrong with the data.
+    `room` is what is known of the unit already. CalibrationError names the fault in the data.
     """
     parts, skipped = _still(sessions)
     check_temperature(
@@ -273,7 +273,7 @@ def _on_hysteresis(name: str, result: TriadResult) -> list[Finding]:
 
 
 def _on_poses(accel: TriadResult) -> list[Finding]:
-    """Say what the poses could not tell of the accelerometers."""
+    """Report what the poses could not determine of the accelerometers."""
     count = accel.fit.rows.levels
     if any(one.kind for one in accel.fit.structures):
         return []

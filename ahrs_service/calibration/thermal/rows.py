@@ -54,7 +54,7 @@ class ThermalRows:
         )
 
     def at_element(self, lag_s: float) -> "ThermalRows":
-        """Return the rows with the temperature that acts on the elements (see `element_degc`)."""
+        """Return the rows with the temperature of the elements (see `element_degc`)."""
         if lag_s == 0.0:
             return self
         acting = np.empty(len(self))

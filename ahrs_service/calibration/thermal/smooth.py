@@ -1,7 +1,7 @@
 """The smooth thermal fit: curves as flexible as held-out data bear, and the thermometer's lag.
 
 First the structures of the axes at the thermometer's own temperature, then the lag, then the
-structures once more at the temperature that acts.
+structures once more at the element temperature.
 """
 
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ Structures = tuple[Structure, Structure, Structure]
 class SmoothFit:
     """Curves of the three axes, lag, and how well they do.
 
-    `rows` at the temperature that acts; `residual` [N, 3] of all rows; `inflation` [3] of the
+    `rows` at the element temperature; `residual` [N, 3] of all rows; `inflation` [3] of the
     variance by the residual's colour.
     """
 
@@ -73,7 +73,7 @@ def choose(
 ) -> tuple[Structures, Floats]:
     """Return the structures that held-out blocks speak for, and the RMS residual there [3].
 
-    Begun from `start` one turn of the choice is enough, from nothing it takes two.
+    From `start` one iteration of the choice is enough, from nothing it takes two.
     """
     chosen, rms = [], []
     for axis in range(3):

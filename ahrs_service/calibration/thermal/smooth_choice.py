@@ -48,7 +48,7 @@ def level_outputs(rows: ThermalRows) -> Floats:
 
 
 def scale_kinds(rows: ThermalRows, level_output: Floats, axis: int) -> tuple[Scale, ...]:
-    """Return what of an axis's scale these levels [P, 3] can tell.
+    """Return what these levels [P, 3] can determine of an axis's scale.
 
     Its own input's where that differs by half of the largest input, and by far more than the bias
     drifts: scale drifts by per cents. That of all inputs where the levels differ in all three
@@ -103,7 +103,7 @@ class Choice:
         return min(bearable, key=lambda one: (self.rms(one), one.size))
 
     def structure(self, start: Structure, passes: int) -> Structure:
-        """Return the structure that the held-out blocks of time speak for, begun from `start`."""
+        """Return the structure that the held-out blocks of time support, starting from `start`."""
         kinds = scale_kinds(self._rows, self._u, self._axis)
         now = start
         for _ in range(passes if len(kinds) > 1 else 1):

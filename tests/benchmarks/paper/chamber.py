@@ -1,10 +1,10 @@
 """The paper's two benches: a two-axis table at room temperature, a one-axis table in a chamber.
 
-The unit goes on the room's table once, and that table is true. In the chamber one axis turns, so
-the unit is mounted three times, with its x, y and z along that axis, and each mounting is turned by
-up to 1.5 degrees about each axis against what the procedure takes it for: the second mounting of
+The unit goes on the room's table once, and that table is aligned. In the chamber one axis rotates,
+so the unit is mounted three times, with its x, y and z along that axis, and each mounting is off by
+up to 1.5 degrees about each axis from what the procedure assumes: the second mounting of
 Liu et al., sec. 2.2.1. The chamber heats and cools; the elements follow its air, and elements and
-thermometer follow each other with a lag that nobody knows.
+thermometer follow each other with an unknown lag.
 """
 
 import math
@@ -133,7 +133,7 @@ class Bench:
         return runs
 
     def validation(self, unit: Unit, degc_per_min: float = 3.0) -> Holds:
-        """Return a run of its own: faster, in attitudes and rates of its own, all of them known."""
+        """Return a separate run: faster, in other attitudes and rates, all of them known."""
         air = _heat_and_cool(degc_per_min)
         count = len(air) // round(HOLD_S * SAMPLE_HZ)
         force = Rotation.random(count, rng=self.rng).apply(_DOWN)
@@ -185,7 +185,7 @@ def _heat_and_cool(degc_per_min: float) -> Floats:
 
 
 def _temperatures(unit: Unit, air: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Temperatures [N] of the elements and as the thermometer tells them."""
+    """Temperatures [N] of the elements and as the thermometer reads them."""
     first = _followed(air, BOX_S)
     second = _followed(first, abs(unit.lag_s))
     element, thermometer = (second, first) if unit.lag_s > 0.0 else (first, second)

@@ -1,7 +1,7 @@
 """The paper's comparison on the simulated bench: conventional, improved and smooth calibration.
 
 All get the same chamber run; improved and smooth also the room table's six positions. What each
-leaves is judged by a run of its own (chamber).
+leaves is judged by a separate run (chamber).
 """
 
 from dataclasses import dataclass

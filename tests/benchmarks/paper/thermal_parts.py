@@ -7,7 +7,7 @@ a wave (stress of solder and board). None of them is a function that calibration
 
 Sizes are those of data sheets of the paper's years: zero-g drift 1 mg/degC (ADXL335), so 65 mg from
 room to -40 degC; sensitivity 0.01 %/degC (ADXL335); gyro null 20 deg/s over -40..85 degC at most,
-a quarter of it usual, and sensitivity 2 % (MPU-6000); axes turn by 0.02 deg, as a layer of glue
+a quarter of it usual, and sensitivity 2 % (MPU-6000); axes rotate by 0.02 deg, as a layer of glue
 under a 4 mm chip that grows by a micrometre makes them.
 """
 
@@ -66,7 +66,7 @@ GYROS: Final = PartSizes(
 
 
 def drift_shape(rng: np.random.Generator, temperature_degc: Floats) -> Floats:
-    """Return a part's drift [N] of its own form: 0 at room temperature, 1 where it is largest."""
+    """Return a part's normalised drift [N]: 0 at room temperature, 1 where it is largest."""
     slope, leak, step, wave = rng.uniform(-1.0, 1.0, 4)
     leak_degc, glass_degc = rng.uniform(15.0, 30.0), rng.uniform(-30.0, 60.0)
     width_degc, period_degc = rng.uniform(10.0, 20.0), rng.uniform(50.0, 120.0)
