@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from ahrs_service.app import cli
-from ahrs_service.app.replay.export import _schema
+from ahrs_service.app.replay.export_columns import _schema
 from ahrs_service.calibration import verdict
 from ahrs_service.calibration.thermal import lag, smooth_choice
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
@@ -29,7 +29,7 @@ from ahrs_service.fusion import (
     velocity_constraints,
 )
 from ahrs_service.links.component.component import _wanted
-from ahrs_service.links.component.parameters import PARAMETERS
+from ahrs_service.links.component.own_parameters import PARAMETERS
 from ahrs_service.links.logs.reading_rules import RULES
 from ahrs_service.links.logs.recording_formats import READERS
 from ahrs_service.links.transport.registry import SCHEMES

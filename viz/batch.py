@@ -12,7 +12,7 @@ from ahrs_service.records import Rows
 from ahrs_service.settings import GateSettings
 from ahrs_service.viz import entities
 from ahrs_service.viz.blueprint import blueprint
-from ahrs_service.viz.columns import Columns
+from ahrs_service.viz.rerun_columns import Columns
 from ahrs_service.viz.scene import send_scene
 
 Series = tuple[npt.ArrayLike, npt.ArrayLike]

@@ -23,7 +23,7 @@ from ahrs_service.settings import GateSettings
 if TYPE_CHECKING:
     import rerun as rr
 
-    from ahrs_service.viz.columns import Columns
+    from ahrs_service.viz.rerun_columns import Columns
 
 HOST: Final = "127.0.0.1"
 _DRAIN_S: Final = 10.0
@@ -158,7 +158,7 @@ class LiveViewer:
 
         from ahrs_service.viz import entities  # noqa: PLC0415
         from ahrs_service.viz.blueprint import blueprint  # noqa: PLC0415
-        from ahrs_service.viz.columns import Columns  # noqa: PLC0415
+        from ahrs_service.viz.rerun_columns import Columns  # noqa: PLC0415
         from ahrs_service.viz.scene import send_scene  # noqa: PLC0415
 
         sinks: list[Any] = []

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from ahrs_service.viz import entities, states
+from ahrs_service.viz import entities, state_lanes
 from ahrs_service.viz.airframe import aircraft
 from ahrs_service.viz.entities import X_FAINT, Y_FAINT, Z_FAINT, X, Y, Z
 
@@ -27,15 +27,15 @@ def send_scene(recording: rr.RecordingStream) -> None:
     recording.log(
         entities.GATE,
         rr.StateConfiguration(
-            values=states.GATE_TEXTS,
-            labels=[text.removeprefix("closed: ") for text in states.GATE_TEXTS],
-            colors=_rgba(*states.GATE_COLOURS),
+            values=state_lanes.GATE_TEXTS,
+            labels=[text.removeprefix("closed: ") for text in state_lanes.GATE_TEXTS],
+            colors=_rgba(*state_lanes.GATE_COLOURS),
         ),
         static=True,
     )
     for entity, texts, colours in (
-        (entities.TRUST, states.TRUST_TEXTS, states.TRUST_COLOURS),
-        (entities.SAMPLE, ("good",), (states.GREEN,)),
+        (entities.TRUST, state_lanes.TRUST_TEXTS, state_lanes.TRUST_COLOURS),
+        (entities.SAMPLE, ("good",), (state_lanes.GREEN,)),
     ):
         look = rr.StateConfiguration(values=texts, labels=texts, colors=_rgba(*colours))
         recording.log(entity, look, static=True)
@@ -140,5 +140,5 @@ def _series(recording: rr.RecordingStream) -> None:
     )
     recording.log(entities.BIAS, bias, static=True)
     reasons = ["norm", "rate", "ang. accel.", "innovation", "limit"]
-    hues = [states.AMBER, Z, entities.VIOLET, states.ORANGE, states.RED]
+    hues = [state_lanes.AMBER, Z, entities.VIOLET, state_lanes.ORANGE, state_lanes.RED]
     _style(recording, entities.LOAD, reasons, hues)

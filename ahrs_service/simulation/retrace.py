@@ -7,7 +7,7 @@ import numpy as np
 from ahrs_service.records import Floats
 from ahrs_service.simulation import environment
 from ahrs_service.simulation.imu import Imu
-from ahrs_service.simulation.reference import ReferenceTrack
+from ahrs_service.simulation.reference_track import ReferenceTrack
 from ahrs_service.simulation.scenario import FLIGHT_DTYPE, Flight
 
 

@@ -23,7 +23,7 @@ from ahrs_service.simulation.phases import (
     seed_flight_phases,
 )
 from ahrs_service.simulation.pose_sequence import PoseSequence, many_poses, six_positions
-from ahrs_service.simulation.rate_table import Swing, table_phases
+from ahrs_service.simulation.table_swings import Swing, table_phases
 from ahrs_service.simulation.trajectory import TRUTH_DTYPE, Bumps, fly
 
 FLIGHT_DTYPE: Final[np.dtype[Any]] = np.dtype(

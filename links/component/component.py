@@ -10,7 +10,7 @@ from typing import Any, Final
 from ahrs_service.links.component import commands
 from ahrs_service.links.component.attitude_messages import Publisher
 from ahrs_service.links.component.message_rates import Intervals, Rate
-from ahrs_service.links.component.parameters import ParameterServer
+from ahrs_service.links.component.own_parameters import ParameterServer
 from ahrs_service.links.component.status_texts import StatusTexts
 from ahrs_service.links.component.timesync import TimeSync
 from ahrs_service.links.component.trim_request import TrimRequest

@@ -36,8 +36,8 @@ from ahrs_service.records import Floats
 from ahrs_service.sensor.parameters import TriadCalibration
 from ahrs_service.settings import IntakeSettings
 from ahrs_service.simulation.imu import Imu, consumer_grade
-from ahrs_service.simulation.rate_table import Swing, table_phases
 from ahrs_service.simulation.scenario import Flight, make_flight
+from ahrs_service.simulation.table_swings import Swing, table_phases
 
 RATE_HZ = 100.0
 BENCHES = (

@@ -12,7 +12,7 @@ from ahrs_service.effects.base import Effect, Values
 from ahrs_service.links.logs.dataflash_tables import read_tables
 from ahrs_service.records import Floats
 from ahrs_service.rotation import multiply_columns
-from ahrs_service.simulation.reference import continuous, smooth
+from ahrs_service.simulation.reference_track import continuous, smooth
 
 _FRD_FROM_FLU = np.array([1.0, -1.0, -1.0])
 _HALF = np.sqrt(0.5)

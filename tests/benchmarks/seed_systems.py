@@ -42,9 +42,9 @@ from ahrs_service.rotation import euler_columns, inverse_columns, multiply_colum
 from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.settings import FusionSettings, GateBudget, Settings
 from ahrs_service.simulation.phases import CRUISE_M_S
-from ahrs_service.simulation.rate_table import Swing
 from ahrs_service.simulation.samples import samples_of
 from ahrs_service.simulation.scenario import SCENARIOS, Flight, make_flight
+from ahrs_service.simulation.table_swings import Swing
 
 TABLES = {
     "roll": "rate-table",

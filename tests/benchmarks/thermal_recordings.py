@@ -18,7 +18,7 @@ from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
 from ahrs_service.calibration.columns import ImuColumns
-from ahrs_service.calibration.thermal.poses import joined, still_rows
+from ahrs_service.calibration.thermal.pose_groups import joined, still_rows
 from ahrs_service.calibration.thermal.rows import ThermalRows
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.errors import CalibrationError

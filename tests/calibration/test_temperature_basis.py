@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import PPoly
 
 from ahrs_service.calibration.thermal.basis import LADDER, Basis, segments
-from ahrs_service.calibration.thermal.records import columns_of, curve_of, sum_of
+from ahrs_service.calibration.thermal.drift_records import columns_of, curve_of, sum_of
 
 INSIDE = np.linspace(-40.0, 70.0, 301)
 

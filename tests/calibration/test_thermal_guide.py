@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ahrs_service.calibration.columns import ImuColumns
-from ahrs_service.calibration.thermal.guide import guide_thermal
+from ahrs_service.calibration.thermal.soak_guide import guide_thermal
 
 RATE_HZ = 10.0
 

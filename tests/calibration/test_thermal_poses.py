@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ahrs_service.calibration.columns import ImuColumns
-from ahrs_service.calibration.thermal.poses import joined, still_rows
+from ahrs_service.calibration.thermal.pose_groups import joined, still_rows
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.errors import CalibrationError
 

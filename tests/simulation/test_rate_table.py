@@ -7,8 +7,8 @@ import pytest
 
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2 as G
 from ahrs_service.rotation import euler_columns, inverse_columns, rotate_columns
-from ahrs_service.simulation.rate_table import Swing, table_phases
 from ahrs_service.simulation.scenario import SCENARIOS, make_flight
+from ahrs_service.simulation.table_swings import Swing, table_phases
 
 TABLES = [name for name in SCENARIOS if name.startswith("rate-table")]
 RATE_HZ = 1000.0

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ahrs_service.simulation.reference import ReferenceTrack, continuous, smooth
+from ahrs_service.simulation.reference_track import ReferenceTrack, continuous, smooth
 from ahrs_service.simulation.scenario import make_flight
 
 RATE_HZ = 400.0

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ahrs_service.records import ESTIMATE_DTYPE, Flag, Gate, Phase, empty
-from ahrs_service.viz import states
+from ahrs_service.viz import state_lanes
 from ahrs_service.viz.clock import Clock
 
 S = 1_000_000_000
@@ -63,33 +63,37 @@ def test_a_reading_before_any_sample_is_at_zero():
 
 
 def test_every_reason_has_its_words_and_colour():
-    assert len(states.GATE_TEXTS) == len(set(states.GATE_TEXTS)) == len(states.GATE_COLOURS)
-    assert states.GATE_TEXTS[Gate.NORM | Gate.RATE] == "closed: norm + rate"
-    assert states.GATE_TEXTS[Gate.STALE] == "closed: stale"
-    assert states.GATE_COLOURS[Gate.OPEN] == states.GREEN
-    assert states.GATE_COLOURS[Gate.ANGULAR_ACCELERATION] == states.AMBER
-    assert states.GATE_COLOURS[Gate.INNOVATION | Gate.RATE] == states.ORANGE
-    assert states.GATE_COLOURS[Gate.SATURATION | Gate.INNOVATION] == states.RED
+    assert (
+        len(state_lanes.GATE_TEXTS)
+        == len(set(state_lanes.GATE_TEXTS))
+        == len(state_lanes.GATE_COLOURS)
+    )
+    assert state_lanes.GATE_TEXTS[Gate.NORM | Gate.RATE] == "closed: norm + rate"
+    assert state_lanes.GATE_TEXTS[Gate.STALE] == "closed: stale"
+    assert state_lanes.GATE_COLOURS[Gate.OPEN] == state_lanes.GREEN
+    assert state_lanes.GATE_COLOURS[Gate.ANGULAR_ACCELERATION] == state_lanes.AMBER
+    assert state_lanes.GATE_COLOURS[Gate.INNOVATION | Gate.RATE] == state_lanes.ORANGE
+    assert state_lanes.GATE_COLOURS[Gate.SATURATION | Gate.INNOVATION] == state_lanes.RED
     for flag in Gate:
-        assert states.GATE_COLOURS[flag] != states.GREEN
+        assert state_lanes.GATE_COLOURS[flag] != state_lanes.GREEN
 
 
 def test_phase_comes_before_gate():
     made = empty(ESTIMATE_DTYPE, 3)
     made["phase"] = [Phase.WAITING, Phase.ALIGNING, Phase.RUNNING]
     made["gate"] = Gate.STALE
-    texts = [states.GATE_TEXTS[code] for code in states.gate_codes(made)]
+    texts = [state_lanes.GATE_TEXTS[code] for code in state_lanes.gate_codes(made)]
     assert texts == ["waiting", "aligning", "closed: stale"]
 
 
 def test_flags_are_named():
-    assert states.flag_text(0) == "good"
-    assert states.flag_text(Flag.CLOCK_JUMP | Flag.LOW_RATE) == "clock jump + low rate"
+    assert state_lanes.flag_text(0) == "good"
+    assert state_lanes.flag_text(Flag.CLOCK_JUMP | Flag.LOW_RATE) == "clock jump + low rate"
 
 
 @given(st.lists(st.integers(0, 2), max_size=40), st.integers(0, 40))
 def test_changes_are_kept_and_nothing_else(codes, cut):
-    array, changes = np.array(codes, np.int64), states.Changes()
+    array, changes = np.array(codes, np.int64), state_lanes.Changes()
     cut = min(cut, len(codes))
     kept = [*changes.of(array[:cut]), *(changes.of(array[cut:]) + cut)]
     assert kept == [i for i in range(len(codes)) if i == 0 or codes[i] != codes[i - 1]]

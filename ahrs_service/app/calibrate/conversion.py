@@ -9,7 +9,7 @@ from ahrs_service.app.calibrate import parameter_change
 from ahrs_service.calibration.autopilots import ardupilot_params, px4_params
 from ahrs_service.calibration.autopilots.board_rotation import board_rotation, body_from_sensor
 from ahrs_service.calibration.autopilots.double_compensation import forms_in_force
-from ahrs_service.calibration.autopilots.export import Export
+from ahrs_service.calibration.autopilots.export_plan import Export
 from ahrs_service.errors import ConfigError, ParamError
 from ahrs_service.links.logs.param_files import INT32, REAL32, ParamValue, read_param_file
 from ahrs_service.links.logs.parameter_values import PX4

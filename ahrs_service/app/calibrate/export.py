@@ -28,7 +28,7 @@ from ahrs_service.app.calibrate.loss_table import loss_table
 from ahrs_service.app.files import calibration_file, config_file
 from ahrs_service.calibration.autopilots import ardupilot_params, px4_params
 from ahrs_service.calibration.autopilots.double_compensation import already_compensated
-from ahrs_service.calibration.autopilots.export import Export
+from ahrs_service.calibration.autopilots.export_plan import Export
 from ahrs_service.errors import ConfigError, ParamError
 from ahrs_service.links.component.parameter_client import ParameterClient
 from ahrs_service.links.logs.param_files import read_param_file, write_param_file

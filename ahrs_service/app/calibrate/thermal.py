@@ -37,8 +37,8 @@ from ahrs_service.app import intake_choice
 from ahrs_service.app.calibrate import capture, outcome, poses, session
 from ahrs_service.app.files import calibration_file
 from ahrs_service.app.options import positive
-from ahrs_service.calibration.thermal.guide import guide_thermal
 from ahrs_service.calibration.thermal.procedure import PROCEDURE, ThermalResult, calibrate_thermal
+from ahrs_service.calibration.thermal.soak_guide import guide_thermal
 from ahrs_service.calibration.verdict import TriadVerdict
 from ahrs_service.links.logs.recording_formats import read_recording
 from ahrs_service.records import Kind

@@ -8,7 +8,7 @@ from ahrs_service.app.diagnose.loaded_recording import Loaded, load
 from ahrs_service.diagnosis.input.diagnosis_input import Recorded, Series
 from ahrs_service.errors import DiagnosisError, RecordingError
 from ahrs_service.settings import IntakeSettings
-from ahrs_service.simulation.reference import smooth
+from ahrs_service.simulation.reference_track import smooth
 
 
 def read_columns(

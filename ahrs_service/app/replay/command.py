@@ -30,7 +30,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from ahrs_service.app import options
-from ahrs_service.app.replay.export import write_csv, write_parquet
+from ahrs_service.app.replay.export_columns import write_csv, write_parquet
 from ahrs_service.app.replay.export_rrd import write_recording
 from ahrs_service.app.replay.export_tlog import write_tlog
 from ahrs_service.app.replay.replay_log import ReplayResult, replay_log

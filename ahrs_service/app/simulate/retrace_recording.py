@@ -12,7 +12,7 @@ from ahrs_service.errors import RecordingError
 from ahrs_service.records import Floats
 from ahrs_service.settings import IntakeSettings
 from ahrs_service.simulation.imu import Imu
-from ahrs_service.simulation.reference import ReferenceTrack
+from ahrs_service.simulation.reference_track import ReferenceTrack
 from ahrs_service.simulation.retrace import Surroundings, retrace
 from ahrs_service.simulation.scenario import Flight
 

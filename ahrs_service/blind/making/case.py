@@ -14,8 +14,14 @@ from ahrs_service.blind.making.hiding import (
     total,
 )
 from ahrs_service.blind.making.motion import Path, table_path
-from ahrs_service.blind.making.noise import NoiseLaw, Wander, draw_law, draw_shake, following
 from ahrs_service.blind.making.physics import Scene, Signals
+from ahrs_service.blind.making.recording_noise import (
+    NoiseLaw,
+    Wander,
+    draw_law,
+    draw_shake,
+    following,
+)
 from ahrs_service.blind.making.surroundings import Surroundings, airborne, chamber
 from ahrs_service.blind.making.vehicles import fixed_wing, multirotor
 from ahrs_service.records import Floats

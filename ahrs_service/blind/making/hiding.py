@@ -6,11 +6,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from ahrs_service.blind.making.catalogue import HIDEABLE
-from ahrs_service.blind.making.noise import NoiseLaw
+from ahrs_service.blind.making.hidden_catalogue import HIDEABLE
 from ahrs_service.blind.making.oracle import LEVEL_NATS, gain, scaled_to
 from ahrs_service.blind.making.outside_physics import OUTSIDE
 from ahrs_service.blind.making.physics import Draw, Hidden, Scene, Signals
+from ahrs_service.blind.making.recording_noise import NoiseLaw
 
 KNOWN_TIMES: Final = 10.0
 """A known effect is this many times larger (rms) than the one concealed beneath it."""

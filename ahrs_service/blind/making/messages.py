@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 from ahrs_service.blind.making.case import Case
-from ahrs_service.blind.making.noise import SHAKE_AXES
+from ahrs_service.blind.making.recording_noise import SHAKE_AXES
 from ahrs_service.blind.making.surroundings import POWER_ON_S
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.records import Floats, Integers

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.fft import dct
 
 from ahrs_service.blind.making.naming import report
-from ahrs_service.blind.making.noise import NoiseLaw
 from ahrs_service.blind.making.physics import Hidden, Scene, Signals
+from ahrs_service.blind.making.recording_noise import NoiseLaw
 from ahrs_service.records import Floats
 
 LEVEL_NATS: Final = {1: 1000.0, 2: 150.0, 3: 30.0}

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 from ahrs_service.blind.making.case import CONTROLS, NULLS, Request
-from ahrs_service.blind.making.catalogue import HIDEABLE
+from ahrs_service.blind.making.hidden_catalogue import HIDEABLE
 from ahrs_service.blind.making.outside_physics import OUTSIDE
 
 SECONDS: Final = {"bench": 400, "flight": 240, "copter": 200}

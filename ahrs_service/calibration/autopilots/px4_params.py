@@ -20,7 +20,7 @@ import numpy as np
 
 from ahrs_service.calibration.autopilots import compensation_model as form_of
 from ahrs_service.calibration.autopilots.compensation_model import Triad, TriadForm
-from ahrs_service.calibration.autopilots.export import Export, Values, number, vector
+from ahrs_service.calibration.autopilots.export_plan import Export, Values, number, vector
 from ahrs_service.calibration.autopilots.loss import lag_remarks, loss
 from ahrs_service.errors import InvalidValueError
 from ahrs_service.records import Floats

@@ -20,7 +20,7 @@ from ahrs_service.calibration.columns import (
 )
 from ahrs_service.calibration.thermal.coloured import Hysteresis, hysteresis
 from ahrs_service.calibration.thermal.fold_choice import TENTHS, HeldOut, hold_out
-from ahrs_service.calibration.thermal.poses import joined, still_rows
+from ahrs_service.calibration.thermal.pose_groups import joined, still_rows
 from ahrs_service.calibration.thermal.rows import ThermalRows
 from ahrs_service.calibration.thermal.smooth import SmoothFit, fit_smooth, smooth_calibration
 from ahrs_service.calibration.triad import rms, vector

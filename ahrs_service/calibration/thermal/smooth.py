@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ahrs_service.calibration.thermal.coloured import inflation
+from ahrs_service.calibration.thermal.drift_records import columns_of, matrix_rows, sum_of
 from ahrs_service.calibration.thermal.lag import Lag, estimate_lag
-from ahrs_service.calibration.thermal.records import columns_of, matrix_rows, sum_of
 from ahrs_service.calibration.thermal.rows import ThermalRows
 from ahrs_service.calibration.thermal.smooth_choice import Choice, level_outputs
 from ahrs_service.calibration.thermal.smooth_drift import AxisCurves, AxisProblem, Structure

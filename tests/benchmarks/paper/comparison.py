@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from ahrs_service.calibration.thermal.records import matrix_rows
+from ahrs_service.calibration.thermal.drift_records import matrix_rows
 from ahrs_service.calibration.thermal.rows import ThermalRows
 from ahrs_service.calibration.thermal.smooth import (
     SmoothFit,

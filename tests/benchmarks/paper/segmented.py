@@ -14,7 +14,7 @@ Segments jump at their borders, as the paper's do, or meet there (`continuous`).
 import numpy as np
 
 from ahrs_service.calibration.thermal.basis import Basis, segments
-from ahrs_service.calibration.thermal.records import curve_of, matrix_rows
+from ahrs_service.calibration.thermal.drift_records import curve_of, matrix_rows
 from ahrs_service.calibration.thermal.rows import ThermalRows
 from ahrs_service.calibration.thermal.smooth_choice import SEGMENT_DEGC
 from ahrs_service.calibration.triad import vector

@@ -9,8 +9,8 @@ from scipy.signal import welch
 from ahrs_service.app.prove.blind_files import case_bytes, seal, write_case
 from ahrs_service.blind.making.case import CONTROLS, NULLS, Request, make
 from ahrs_service.blind.making.messages import tables
-from ahrs_service.blind.making.noise import SHAKE_AXES
 from ahrs_service.blind.making.plan import SHARES, controls, plan
+from ahrs_service.blind.making.recording_noise import SHAKE_AXES
 from ahrs_service.links.logs.tlog import read_tlog
 
 

@@ -5,8 +5,8 @@ import pytest
 from scipy.linalg import toeplitz
 
 from ahrs_service.blind.making.case import Request, make
-from ahrs_service.blind.making.noise import ENCODER, NoiseLaw, Wander
 from ahrs_service.blind.making.oracle import LEVEL_NATS, gain, share_of_gain
+from ahrs_service.blind.making.recording_noise import ENCODER, NoiseLaw, Wander
 
 RATE_HZ = 10.0
 

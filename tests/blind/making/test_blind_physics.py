@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from ahrs_service.blind.making.case import Request, make
-from ahrs_service.blind.making.catalogue import HIDEABLE
+from ahrs_service.blind.making.hidden_catalogue import HIDEABLE
 from ahrs_service.blind.making.motion_physics import filtered, place_acceleration
 from ahrs_service.blind.making.outside_physics import OUTSIDE
 from ahrs_service.blind.making.surroundings import lag

@@ -6,7 +6,7 @@ import pytest
 
 from ahrs_service.app.files import config_file
 from ahrs_service.links.component.component import Component
-from ahrs_service.links.component.parameters import PARAMETERS, change, read
+from ahrs_service.links.component.own_parameters import PARAMETERS, change, read
 from ahrs_service.links.mavlink.codec import dialect
 from ahrs_service.settings import Settings
 

@@ -11,7 +11,7 @@ from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.records import Flag, Gate, Phase, Rows
 from ahrs_service.rotation import euler_columns
 from ahrs_service.settings import GateSettings
-from ahrs_service.viz import entities, states
+from ahrs_service.viz import entities, state_lanes
 from ahrs_service.viz.clock import Clock, Nanoseconds
 from ahrs_service.viz.scene import FORCE_SCALE, send_reference
 
@@ -43,12 +43,15 @@ class Columns:
         self.clock = Clock()
         self.gate = gate
         self._recording = recording
-        self._gate_changes = states.Changes()
-        self._flag_changes = states.Changes()
-        self._scene_changes = {entities.OURS: states.Changes(), entities.THEIRS: states.Changes()}
-        self._second_changes = states.Changes()
+        self._gate_changes = state_lanes.Changes()
+        self._flag_changes = state_lanes.Changes()
+        self._scene_changes = {
+            entities.OURS: state_lanes.Changes(),
+            entities.THEIRS: state_lanes.Changes(),
+        }
+        self._second_changes = state_lanes.Changes()
         self._last_ns: int | None = None
-        self._trust_changes = states.Changes()
+        self._trust_changes = state_lanes.Changes()
         self._mark: Nanoseconds | None = None
         self._counted = self._opened = 0
         self._styled: set[str] = set()
@@ -183,25 +186,27 @@ class Columns:
         span_ns, count, opened = np.diff(marks, axis=0).T
         ahead = span_ns > 0
         self.rate(USED_RATE, marks[1:, 0][ahead], count[ahead] * 1e9 / span_ns[ahead])
-        codes = states.trust_codes(opened / count)
+        codes = state_lanes.trust_codes(opened / count)
         changed = self._trust_changes.of(codes)
-        texts = [states.TRUST_TEXTS[code] for code in codes[changed]]
+        texts = [state_lanes.TRUST_TEXTS[code] for code in codes[changed]]
         self._state(entities.TRUST, marks[:-1, 0][changed], texts)
 
     def _states(self, rows: Rows, t: Nanoseconds) -> None:
         """Send changes of state; a gap begins just after the last sample before it."""
-        codes, times = states.gate_codes(rows), t
+        codes, times = state_lanes.gate_codes(rows), t
         gaps = np.flatnonzero(rows["flags"] & Flag.GAP)
         if len(gaps):
             before = np.concatenate([[t[0] if self._last_ns is None else self._last_ns], t[:-1]])
-            codes = np.insert(codes, gaps, states.GAP)
+            codes = np.insert(codes, gaps, state_lanes.GAP)
             times = np.insert(t, gaps, np.minimum(before[gaps] + _AFTER_NS, t[gaps]))
         changed = self._gate_changes.of(codes)
-        texts = [states.GATE_TEXTS[code] for code in codes[changed]]
+        texts = [state_lanes.GATE_TEXTS[code] for code in codes[changed]]
         self._state(entities.GATE, times[changed], texts)
         flags = rows["flags"].astype(np.int64)
         changed = self._flag_changes.of(flags)
-        self._state(entities.SAMPLE, t[changed], [states.flag_text(int(f)) for f in flags[changed]])
+        self._state(
+            entities.SAMPLE, t[changed], [state_lanes.flag_text(int(f)) for f in flags[changed]]
+        )
 
     def _state(self, entity: str, t: Nanoseconds, texts: list[str]) -> None:
         if texts:
@@ -218,8 +223,8 @@ class Columns:
         self._transform(entities.NED, t, heading_up)
         trusted = (rows["gate"] == Gate.OPEN) & (rows["phase"] == Phase.RUNNING)
         force = np.nan_to_num(rows["accel_m_s2"]) * (FORCE_SCALE / STANDARD_GRAVITY_M_S2)
-        colours = np.where(trusted, states.GREEN, states.RED).astype(np.uint32)
-        labels = [states.GATE_TEXTS[code] for code in states.gate_codes(rows)]
+        colours = np.where(trusted, state_lanes.GREEN, state_lanes.RED).astype(np.uint32)
+        labels = [state_lanes.GATE_TEXTS[code] for code in state_lanes.gate_codes(rows)]
         columns = [
             _rotation(rows["ned_from_body"]),
             _column(_VECTORS, rr.components.Vector3DBatch(-force), len(t)),

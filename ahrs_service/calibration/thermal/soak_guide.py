@@ -11,7 +11,7 @@ import numpy as np
 from ahrs_service.calibration.columns import ImuColumns
 from ahrs_service.calibration.guide import Guidance, Refusal
 from ahrs_service.calibration.poses import directions, sphere_coverage
-from ahrs_service.calibration.thermal.poses import still_rows
+from ahrs_service.calibration.thermal.pose_groups import still_rows
 from ahrs_service.calibration.thermal.rows import ThermalRows
 from ahrs_service.errors import CalibrationError
 
