@@ -24,7 +24,7 @@ from rich.markup import escape
 
 from ahrs_service.app import intake_choice
 from ahrs_service.app.diagnose import diagnosis_text as text
-from ahrs_service.app.diagnose.diagnosis_page import most_telling, page
+from ahrs_service.app.diagnose.diagnosis_page import most_significant, page
 from ahrs_service.app.diagnose.diagnosis_terminal import summary
 from ahrs_service.app.diagnose.recording_diagnosis import diagnose
 from ahrs_service.app.files import calibration_file, toml_file, twin_file
@@ -180,10 +180,10 @@ def _write_rrd(path: Path, name: str, diagnosis: Diagnosis) -> None:
     from ahrs_service.viz import report_plots as plots  # noqa: PLC0415
     from ahrs_service.viz.report_rrd import write_report  # noqa: PLC0415
 
-    telling = most_telling(diagnosis.covariates)
+    shown_covariates = most_significant(diagnosis.covariates)
     pictures = {}
-    for first in range(0, len(telling), _PANELS_SHOWN):
-        shown = telling[first : first + _PANELS_SHOWN]
+    for first in range(0, len(shown_covariates), _PANELS_SHOWN):
+        shown = shown_covariates[first : first + _PANELS_SHOWN]
         about = " and ".join(dict.fromkeys(item.covariate for item in shown[:2]))
         title = f"Residual against {about}, ..."
         pictures[title] = plots.as_png(plots.against_covariates(shown))

@@ -24,7 +24,7 @@ pre { overflow-x: auto; background: #f5f6f7; padding: 1rem; }
 """
 
 
-def most_telling(covariates: Sequence[Covariate]) -> list[Covariate]:
+def most_significant(covariates: Sequence[Covariate]) -> list[Covariate]:
     """Return, per covariate and triad, the most significant channel; the lowest p-value first."""
     best: dict[tuple[str, str], Covariate] = {}
     for item in sorted(covariates, key=lambda item: item.p_value):
@@ -119,7 +119,7 @@ def _pictures(diagnosis: Diagnosis) -> Iterator[str]:
             whole = float(series.time_s[0]), float(series.time_s[-1])
             yield _picture(plots.as_svg(plots.timeline(rows, whole)))
     if diagnosis.covariates:
-        telling = most_telling(diagnosis.covariates)
+        shown_covariates = most_significant(diagnosis.covariates)
         yield "<h2>Residual against each covariate</h2>"
         yield (
             "<p>Dots are means of the residual before any finding, in bins of the covariate; the "
@@ -127,7 +127,7 @@ def _pictures(diagnosis: Diagnosis) -> Iterator[str]:
             "explain. For every covariate the channel of each sensor that depends on it most is "
             "plotted.</p>"
         )
-        yield _picture(plots.as_svg(plots.against_covariates(telling)))
+        yield _picture(plots.as_svg(plots.against_covariates(shown_covariates)))
 
 
 def _holdout(diagnosis: Diagnosis) -> Iterator[str]:

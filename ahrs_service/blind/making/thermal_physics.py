@@ -79,8 +79,8 @@ def thermal_lag(sensor: str) -> Draw:
 
         def signals(scene: Scene, size: float) -> Signals:
             own, step = scene.around.imu_degc, scene.time_s[1] - scene.time_s[0]
-            acting = lag(own, step, tau, own[0])
-            return on(sensor, size * k * (acting - REFERENCE_DEGC)[:, None])
+            lagged = lag(own, step, tau, own[0])
+            return on(sensor, size * k * (lagged - REFERENCE_DEGC)[:, None])
 
         def params(size: float) -> dict[str, Any]:
             return {"time_constant_s": tau, "linear": (size * k).tolist()}

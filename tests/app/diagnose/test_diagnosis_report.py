@@ -12,7 +12,7 @@ from rich.console import Console
 
 from ahrs_service.app.diagnose import diagnosis_text as text
 from ahrs_service.app.diagnose.command import extended, sigmas_of
-from ahrs_service.app.diagnose.diagnosis_page import most_telling, page
+from ahrs_service.app.diagnose.diagnosis_page import most_significant, page
 from ahrs_service.app.diagnose.diagnosis_terminal import summary
 from ahrs_service.app.files import twin_file
 from ahrs_service.diagnosis.result import (
@@ -174,7 +174,7 @@ def test_every_covariate_has_the_most_telling_channel_of_each_sensor():
         for covariate in ("throttle", "time")
         for n, (triad, channel) in enumerate(channels)
     ]
-    shown = [(item.covariate, item.channel) for item in most_telling(panels)]
+    shown = [(item.covariate, item.channel) for item in most_significant(panels)]
     assert shown == [
         ("throttle", "accel_z"), ("time", "accel_z"), ("throttle", "gyro_y"), ("time", "gyro_y")
     ]  # fmt: skip
