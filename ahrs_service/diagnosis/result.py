@@ -14,7 +14,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Where:
-    """A span of the recording [s on its clock] and what is special there."""
+    """A span of the recording [s on its clock] and what distinguishes it."""
 
     t0_s: float
     t1_s: float

@@ -67,7 +67,7 @@ def _body(name: str, diagnosis: Diagnosis, against: tuple[str, Diagnosis] | None
     if against is not None:
         yield from _against(diagnosis, *against)
     if diagnosis.not_observable:
-        yield "<h2>What this recording cannot show</h2>"
+        yield "<h2>Not observable in this recording</h2>"
         rows = [(item.effect, item.why) for item in diagnosis.not_observable]
         yield _table(("effect", "why"), rows)
     yield from _noise(diagnosis)
@@ -84,7 +84,7 @@ def _finding(number: int, finding: Finding) -> Iterator[str]:
 
 
 def _pictures(diagnosis: Diagnosis) -> Iterator[str]:
-    # Loading matplotlib takes longer than most of what is not a picture.
+    # Loading matplotlib takes longer than the rest of the page.
     from ahrs_service.viz import report_plots as plots  # noqa: PLC0415
 
     rows = [

@@ -47,7 +47,7 @@ def _parts(name: str, diagnosis: Diagnosis) -> Iterator[RenderableType]:
 
 def findings_table(diagnosis: Diagnosis) -> Table:
     """Return one row per finding with its figures."""
-    table = Table(title="what was left out", title_justify="left", box=box.SIMPLE)
+    table = Table(title="missing effects", title_justify="left", box=box.SIMPLE)
     table.add_column("effect", no_wrap=True)
     table.add_column("axes")
     for name in ("log evidence", "next best", "held-out gain"):
@@ -94,9 +94,9 @@ def _table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> Ta
 
 
 def not_observable_table(diagnosis: Diagnosis) -> Table:
-    """Return what this recording cannot show, and why."""
+    """Return the effects that are not observable in this recording, and why."""
     table = Table(
-        title="what this recording cannot show", title_justify="left", box=box.SIMPLE, style="dim"
+        title="not observable in this recording", title_justify="left", box=box.SIMPLE, style="dim"
     )
     table.add_column("effect")
     table.add_column("why", overflow="fold")

@@ -79,7 +79,7 @@ def load(
 
     attitude_s = np.asarray(reference.time_ns * 1e-9 - shift_s, np.float64)
 
-    def beside(values: Floats | None) -> Series:
+    def of_reference(values: Floats | None) -> Series:
         return Series() if values is None else rising(Series(attitude_s, values))
 
     gyro, accel = imu["gyro_rad_s"].copy(), imu["accel_m_s2"].copy()
@@ -92,16 +92,16 @@ def load(
     if not len(vibration):
         vibration = vibration_of(imu_s, accel)
         notes.append("vibration: computed from the accelerometer itself")
-    velocity = beside(reference.velocity_ned_m_s)
+    velocity = of_reference(reference.velocity_ned_m_s)
     return Loaded(
         Recorded(
             name=path.name,
             imu_time_s=imu_s,
             gyro_rad_s=_in_vehicle_axes(readings, gyro),
             accel_m_s2=_in_vehicle_axes(readings, accel),
-            attitude=beside(reference.ned_from_body),
+            attitude=of_reference(reference.ned_from_body),
             velocity_ned_m_s=velocity if len(velocity) else _velocity(readings, shift_s),
-            body_rate_rad_s=beside(reference.rate_rad_s),
+            body_rate_rad_s=of_reference(reference.rate_rad_s),
             temperature_degc=temperature,
             vibration_m_s2=vibration,
             current_a=series(covariates.current_a),

@@ -56,7 +56,7 @@ def recordings(folder: Path) -> list[Path]:
         path for path in folder.glob("*.tlog") if (truths / f"{path.stem}{TRUTH_SUFFIX}").is_file()
     )
     if not found:
-        raise RecordingError(f"{folder}: no NAME.tlog with NAME{TRUTH_SUFFIX} beside it")
+        raise RecordingError(f"{folder}: no NAME.tlog with NAME{TRUTH_SUFFIX} next to it")
     return found
 
 

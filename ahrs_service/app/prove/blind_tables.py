@@ -32,7 +32,7 @@ def score_table(marks: dict[str, list[Mark]], count: int) -> Table:
     table = _table(
         f"score of {count} recordings: hits/of, Wilson 95 % interval in %",
         "figure",
-        "asked",
+        "required",
         *marks,
     )
     scored = {title: score(those) for title, those in marks.items()}
