@@ -16,9 +16,9 @@ from ahrs_service.records import Floats
 ALARM: Final = 0.02
 """Share of nulls that may raise an alarm: divided by the number of effects (Bonferroni)."""
 
-_MOST: Final = 8  # A choice: most effects; no recording of a set hides more than two
+_MOST: Final = 8  # A choice: limit on effects; no recording of a set hides more than two
 _LAMBDAS: Final = 30  # A choice: penalties over three decades, a step of 27 % (1000^(1/29))
-_SWEEPS: Final = 200  # A choice: most sweeps of the lasso's coordinate descent
+_SWEEPS: Final = 200  # A choice: limit on sweeps of the lasso's coordinate descent
 
 
 class _Moments:

@@ -25,7 +25,7 @@ LEVEL_NATS: Final = {1: 1000.0, 2: 150.0, 3: 30.0}
 
 _TOLERANCE: Final = 0.02
 """A choice: depth of concealment to 2 %, the size to 1 % (gain is proportional to its square)."""
-_TRIALS: Final = 40  # A choice: most secant steps; in logarithms the function is nearly linear
+_TRIALS: Final = 40  # A choice: limit on secant steps; in logarithms the function is nearly linear
 
 
 def gain(signals: Signals, law: NoiseLaw, rate_hz: float) -> float:

@@ -27,7 +27,7 @@ The largest effect planted into test recordings, some of them too large on purpo
 the largest in data sheets."""
 
 _ITERATIONS: Final = 6
-"""A choice: most Gauss-Newton steps; _SETTLED_SIGMA ends a fit that converges."""
+"""A choice: limit on Gauss-Newton steps; _SETTLED_SIGMA ends a fit that converges."""
 _SETTLED_SIGMA: Final = 0.05
 """A choice: a last step of 0.05 sigma is worth 0.05^2 / 2 = 0.001 nats per parameter."""
 _RELATIVE_STEP: Final = 1e-3
@@ -35,7 +35,7 @@ _RELATIVE_STEP: Final = 1e-3
 _UNDO_ITERATIONS: Final = 6
 """Raised from 3 for filters: each pass reduces the error to about the effect's share of it."""
 _REFIT_ITERATIONS: Final = 8
-"""A choice: most steps of the noise, from a start that nearly fits."""
+"""A choice: limit on the steps of the noise, from a start that nearly fits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

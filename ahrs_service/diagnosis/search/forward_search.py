@@ -54,7 +54,7 @@ _CLOSE: Final = 0.6
 classes.py: there the best is the effect itself, whose noise is fitted. Searched from 0.3 to 0.9:
 flat, on four blind recordings (cases 1, 3, 6 and 8 of plan(14, 4711, 120)), as _APART from 0.07
 to 0.3."""
-_MOST_STEPS: Final = 5  # A choice: most effects and unknown dependences of one recording
+_MOST_STEPS: Final = 5  # A choice: at most so many effects and unknowns in a recording
 _APART: Final = 0.15
 """Correlation below which one effect cannot have replaced two (searched: see _CLOSE)."""
 _FREED: Final = 11.0
