@@ -249,5 +249,5 @@ def test_columns_are_diagnosed_as_their_recording_is(tmp_path):
 def test_columns_without_a_reference_are_refused():
     time_s = 0.01 * np.arange(500)
     still = np.zeros((500, 3))
-    with pytest.raises(DiagnosisError, match="0 attitudes beside the IMU's samples are too few"):
+    with pytest.raises(DiagnosisError, match="only 0 attitudes within the IMU's samples, too few"):
         diagnose(Recorded("own", time_s, still, still, Series(), Series()))

@@ -267,10 +267,10 @@ def test_every_effect_is_in_the_table():
         ("calibration", "(1 + {:g} p s)", [thermometer.LEAD_GAIN]),
         ("calibration", "spans below {:g} degC", [verdict.SMALLEST_SPAN_K]),
         ("calibration", "a condition above {:g}", [verdict.LARGEST_CONDITION]),
-        ("diagnosis", "A name needs {:.1f} nats", [forward_search.ALARM]),
+        ("diagnosis", "A named effect needs a surprise of {:.1f} nats", [forward_search.ALARM]),
         ("diagnosis", "an unknown dependence {:g}", [forward_search.UNKNOWN_ALARM]),
         ("diagnosis", '"Clearly" is {:g} nats', [named_vs_unknown.CLEARLY]),
-        ("diagnosis", "how it came out ({:g} nats", [classes.ALIKE]),
+        ("diagnosis", "by the gains found (within {:g} nats", [classes.ALIKE]),
         ("diagnosis", "{:g}² max(marginal, blocks)", [uncertainty.CHOSEN]),
     ],
 )

@@ -1,1 +1,1 @@
-"""Sealed blind recordings: their motion, physics and noise share no code with the fitting."""
+"""Blind test recordings: their motion, physics and noise share no code with the fitting."""

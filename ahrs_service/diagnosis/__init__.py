@@ -1,1 +1,1 @@
-"""Where simulation and recording differ: locate it, name the physics left out, prove the gain."""
+"""Where simulation and recording differ: locate it, name the missing physics, prove the gain."""

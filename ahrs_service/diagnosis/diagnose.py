@@ -1,4 +1,4 @@
-"""From a recording to its diagnosis."""
+"""The diagnosis of a recording: compare, search, judge."""
 
 import math
 from typing import Final
@@ -31,38 +31,38 @@ from ahrs_service.diagnosis.result import (
     Where,
 )
 from ahrs_service.diagnosis.search.forward_search import Progress, Search, search
-from ahrs_service.diagnosis.search.locate import against_covariates, where_it_acts
+from ahrs_service.diagnosis.search.locate import against_covariates, where_largest
 from ahrs_service.diagnosis.search.search_threshold import over_the_search
 from ahrs_service.errors import DiagnosisError
 from ahrs_service.records import Floats
 
-_AXIS_SIGMA: Final = 3.0  # A choice: by chance one axis in 370 stands out so far (Gauss, two-sided)
+_AXIS_SIGMA: Final = 3.0  # A choice: exceeded by chance on one axis in 370 (Gauss, two-sided)
 _GENERAL: Final = dict.fromkeys(("roll", "pitch", "heading"), "attitude") | {"altitude": "pressure"}
 _FALLBACK: Final = "whole recording"
 _COMPARED, _PROJECTED, _SEARCH, _JUDGED = 0.06, 0.24, 0.56, 0.85
-"""Shares of the whole time: compared, responses projected, the search's own, findings judged."""
+"""Shares of the run time at which comparison, projection, search (its length), judgement end."""
 _MOST_WRONG_DEG: Final = 0.3
-"""Several times an INS's attitude error. Of 29 real recordings those at 10 Hz and more, or at rest,
-lose 0.1 deg at most, those at 1 to 4 Hz in flight 0.9 deg and more."""
-_CREEP: Final = 0.003
-"""Share of what is left of a stage that a projection or a whitening is taken for."""
+"""Several times an INS's attitude error. Of 29 real recordings, those at 10 Hz and more or at rest
+lose at most 0.1 deg, those at 1 to 4 Hz in flight 0.9 deg and more."""
+_ADVANCE: Final = 0.003
+"""Assumed share of the rest of a stage that one projection or whitening takes."""
 
 
 class _Bar:
-    """The share that is done: it enters stages, creeps through each and never goes back."""
+    """The share done: it goes from stage to stage, advances in each and never decreases."""
 
-    def __init__(self, tell: Progress) -> None:
-        self._tell, self._share, self._end = tell, 0.0, 0.0
+    def __init__(self, report: Progress) -> None:
+        self._report, self._share, self._end = report, 0.0, 0.0
 
     def enter(self, begin: float, end: float) -> None:
         """Begin a stage from one share to another."""
         self._share, self._end = max(self._share, begin), end
-        self._tell(self._share)
+        self._report(self._share)
 
-    def creep(self) -> None:
-        """Move on a little towards the end of the stage."""
-        self._share += _CREEP * (self._end - self._share)
-        self._tell(self._share)
+    def advance(self) -> None:
+        """Advance a little towards the end of the stage."""
+        self._share += _ADVANCE * (self._end - self._share)
+        self._report(self._share)
 
 
 def _of_search(share: float) -> float:
@@ -70,7 +70,7 @@ def _of_search(share: float) -> float:
 
 
 def compare(recorded: Recorded) -> Residual:
-    """Return the misfit of a recording and its reference; ValueError says what is missing."""
+    """Return the misfit of a recording to its reference; ValueError says what is missing."""
     reference = reference_of(recorded)
     if is_flight(reference):
         _refuse_slow(recorded)
@@ -79,16 +79,16 @@ def compare(recorded: Recorded) -> Residual:
 
 
 def _refuse_slow(recorded: Recorded) -> None:
-    """Raise ValueError where the IMU came too seldom for the angle to be integrated.
+    """Raise ValueError where the IMU's rate is too low to integrate the angle.
 
-    The trapezoid rule is wrong by a twelfth of the second difference, times the step, per step.
+    The trapezoid rule errs per step by a twelfth of the second difference times the step.
     """
     step_s = float(np.median(np.diff(recorded.imu_time_s)))
     bends = np.diff(recorded.gyro_rad_s, 2, axis=0)
     wrong_deg = math.degrees(step_s / 12.0 * float(np.sqrt(np.mean(bends**2))))
     if wrong_deg > _MOST_WRONG_DEG:
         raise DiagnosisError(
-            f"the IMU comes at {1.0 / step_s:.3g} Hz, too slow for how the vehicle turns "
+            f"the IMU is recorded at {1.0 / step_s:.3g} Hz, too slow for the vehicle's rotation "
             f"({wrong_deg:.2g} deg lost between samples); record HIGHRES_IMU at 25 Hz or more"
         )
 
@@ -98,12 +98,13 @@ def diagnose(
 ) -> Diagnosis:
     """Locate and name what makes a recording differ from an ideal IMU.
 
-    What a twin knows is taken out of the readings before (diagnosis.known). `progress` is called
-    with the share done, 0 to 1. With the `truth` its figures stand beside what was found.
+    The effects of a twin are removed from the readings beforehand (input.effect_removal).
+    `progress` is called with the share done, 0 to 1. With a `truth` the result includes the
+    figures of an oracle for comparison.
     """
     bar = _Bar(progress or (lambda share: None))
     residual = compare(recorded)
-    residual.moved = bar.creep
+    residual.moved = bar.advance
     bar.enter(_COMPARED, _PROJECTED)
     library = library_of(residual)
     found = search(residual, library, lambda share: bar.enter(_of_search(share), _of_search(1.0)))
@@ -118,7 +119,11 @@ def diagnose(
     )
     left = tuple(
         Unexplained(
-            one.triad, one.triad, _covariates(found.telling[one]), (), math.exp(-min(value, 700.0))
+            one.triad,
+            one.triad,
+            _covariates(found.covariates[one]),
+            (),
+            math.exp(-min(value, 700.0)),
         )
         for one, value in found.unknown.items()
     )
@@ -144,7 +149,7 @@ def diagnose(
 
 
 def _covariates(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the covariates, each with the more general word for it."""
+    """Return the covariates, each followed by its more general term."""
     words = [word for name in names for word in (name, _GENERAL.get(name, name))]
     return tuple(dict.fromkeys(words))
 
@@ -161,7 +166,7 @@ def _finding(residual: Residual, found: Search, step: Step, place: int, known: F
     alike = found.alike[place]
     held = held_out(residual, step.model, found.model, term.effect.triad)
     size = _sizes(residual, term)
-    where = where_it_acts(residual, added_body(residual, (term,))) or (
+    where = where_largest(residual, added_body(residual, (term,))) or (
         Where(float(residual.time_s[0]), float(residual.time_s[-1]), _FALLBACK),
     )
     return Finding(
@@ -191,7 +196,7 @@ def _sizes(residual: Residual, term: Term) -> Floats:
 def _parameters(
     model: Model, place: int, known: Floats
 ) -> tuple[dict[str, Estimated], tuple[str, ...]]:
-    """Return a term's parameters with their sigmas by `known` variances; axes that stand out."""
+    """Return a term's parameters, sigmas from the `known` variances, and its significant axes."""
     term = model.terms[place]
     stds = {p.name: np.zeros(p.shape) for p in term.effect.parameters}
     numbers = free_numbers(model.terms)

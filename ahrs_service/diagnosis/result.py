@@ -1,4 +1,4 @@
-"""What a diagnosis says, as frozen records; `as_json` gives a report of ahrs-mismatch/1."""
+"""The result of a diagnosis as frozen records; `as_json` gives a report of ahrs-mismatch/1."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -14,7 +14,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Where:
-    """A span of the recording [s on its clock] and what is special there."""
+    """A span of the recording [s on its clock] and what distinguishes it."""
 
     t0_s: float
     t1_s: float
@@ -42,8 +42,8 @@ class Rival:
 class Holdout:
     """What a finding gains on blocks of the recording that it was not fitted to.
 
-    `log_likelihood_gain` [nats]; rms of the residual of the triad that the finding acts on, per
-    axis [rad/s or m/s^2]: of all of it, and of what is slower than 0.05 Hz.
+    `log_likelihood_gain` [nats]; rms of the residual of the finding's triad per axis
+    [rad/s or m/s^2]: over all frequencies, and below 0.05 Hz.
     """
 
     log_likelihood_gain: float
@@ -55,9 +55,9 @@ class Holdout:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One effect that was left out: its id, and the triad it acts on ("imu" is both).
+    """One missing effect: its id, and the triad it belongs to ("imu" is both).
 
-    `alike` the ids that this recording cannot tell apart.
+    `alike` the ids that cannot be separated in this recording.
     """
 
     effect: str
@@ -76,7 +76,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Unexplained:
-    """Something real that no effect of the catalogue explains: `channel` as accel_z, or accel."""
+    """A significant misfit that no effect explains: `channel` as in accel_z, or accel."""
 
     triad: str
     channel: str
@@ -87,10 +87,10 @@ class Unexplained:
 
 @dataclass(frozen=True, slots=True)
 class Implausible:
-    """An effect that would explain something, but only at a size that no IMU has.
+    """An effect that would explain part of the misfit, but only at a size that no IMU has.
 
-    `parameters` as fitted, `plausible` the largest of data sheets, both by name; `log_evidence`
-    what it would gain [nats].
+    `parameters` as fitted, `plausible` the largest in data sheets, both by name; `log_evidence`
+    the gain it would have [nats].
     """
 
     effect: str
@@ -101,7 +101,7 @@ class Implausible:
 
 @dataclass(frozen=True, slots=True)
 class NotObservable:
-    """An effect that this recording cannot show, and why."""
+    """An effect that is not observable in this recording, and why."""
 
     effect: str
     why: str
@@ -109,7 +109,7 @@ class NotObservable:
 
 @dataclass(frozen=True, slots=True)
 class FreeRun:
-    """Attitude error after 60 s of the gyro alone [deg], rms over starts, before and after."""
+    """Attitude error after 60 s on the gyro alone [deg], rms over starts, before and after."""
 
     before: float
     after: float
@@ -117,7 +117,7 @@ class FreeRun:
 
 @dataclass(frozen=True, slots=True)
 class TrueEffect:
-    """An effect that a recording is known to hold, with its parameters by name."""
+    """An effect known to be in a recording, with its parameters by name."""
 
     effect: str
     parameters: Mapping[str, Any]
@@ -125,11 +125,11 @@ class TrueEffect:
 
 @dataclass(frozen=True, slots=True)
 class Oracle:
-    """What the truth would have gained: the same figures with its numbers, none of them fitted.
+    """The same figures for the true parameters, none of them fitted.
 
-    `outside` what is hidden and has no equation here, in words; `found` and `oracle` the held-out
-    figures of what was found and of the truth, by triad ("gyro", "accel"): both before and after.
-    `free_run_deg` the truth's attitude error after 60 s of the gyro alone.
+    `outside` the hidden effects that are not in the catalogue, in words; `found` and `oracle` the
+    held-out figures, before and after, of the findings and of the truth by triad ("gyro", "accel").
+    `free_run_deg` the attitude error after 60 s on the gyro alone with the true effects removed.
     """
 
     effects: tuple[TrueEffect, ...]
@@ -141,10 +141,10 @@ class Oracle:
 
 @dataclass(frozen=True, slots=True)
 class Covariate:
-    """Residual of one channel against one covariate, for a picture.
+    """Residual of one channel against one covariate, for a plot.
 
-    `edges` [B+1] of the bins, `mean` [B] of the residual in each, `null_std` [B] what the noise
-    alone gives it, `fitted` [B] what the findings explain. `p_value` of the whole dependence.
+    `edges` [B+1] of the bins, `mean` [B] of the residual in each, `null_std` [B] its 1-sigma under
+    noise alone, `fitted` [B] what the findings explain. `p_value` of the whole dependence.
     """
 
     triad: str
@@ -160,7 +160,7 @@ class Covariate:
 
 @dataclass(frozen=True, slots=True)
 class ResidualSeries:
-    """Residuals over time for pictures: `time_s` [N], before and after [N, 6] (gyro, accel)."""
+    """Residuals over time for plots: `time_s` [N], before and after [N, 6] (gyro, accel)."""
 
     time_s: Floats
     before: Floats
@@ -169,9 +169,9 @@ class ResidualSeries:
 
 @dataclass(frozen=True, slots=True)
 class Whiteness:
-    """Tests of the whitened innovations [N, 6]: p-values per channel, and of all together.
+    """Tests of the whitened innovations [N, 6]: p-values per channel.
 
-    `ljung_box` over 20 lags, `normality` (Jarque-Bera after 5-sigma glitches are set aside).
+    `ljung_box` over 20 lags, `normality` by Jarque-Bera without glitches beyond 5 sigma.
     """
 
     ljung_box: tuple[float, ...]
@@ -180,7 +180,7 @@ class Whiteness:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """The whole answer. `noise` the fitted hyperparameters by name.
+    """The complete diagnosis; `noise` holds the fitted noise parameters by name.
 
     `as_json` gives it as plain tables and lists.
 
@@ -209,7 +209,7 @@ class Diagnosis:
 
 
 def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return the report as ahrs-mismatch/1 lays it down; pictures' numbers stay out."""
+    """Return the report in the format ahrs-mismatch/1; the data of plots are left out."""
     held_out: dict[str, Any] = {}
     if diagnosis.holdout is not None:
         held_out |= asdict(diagnosis.holdout)

@@ -31,7 +31,7 @@ def swinging(rate_hz, seconds=300.0, turn_rad_s=0.5):
 
 
 def test_one_sample_a_second_is_refused_and_ten_are_not():
-    with pytest.raises(ValueError, match=r"comes at 1 Hz, too slow .* HIGHRES_IMU at 25 Hz"):
+    with pytest.raises(ValueError, match=r"recorded at 1 Hz, too slow .* HIGHRES_IMU at 25 Hz"):
         compare(swinging(1.0))
     assert np.abs(compare(swinging(10.0)).rows[:, :3]).max() < 1e-3
 

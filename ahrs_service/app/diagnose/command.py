@@ -1,9 +1,9 @@
-"""Compare a recording with its twin: where they differ, what physics was left out, how sure.
+"""Compare a recording with its twin: where they differ, what physics is missing, how sure.
 
-The twin is the sensor as it is believed to be; without one an ideal sensor. What is found is
-described in plain words, proven on parts of the recording that it was not fitted to, and can be
-written into the twin, which is then simulated (simulate --twin), and, where it has that form, into
-a calibration, which the estimator compensates live (run --calibration).
+The twin is a model of the sensor; without one an ideal sensor is assumed. Each finding is described
+in plain words and checked on parts of the recording that it was not fitted to. Findings can be
+written into the twin, for simulation (simulate --twin), and, where a calibration has a parameter
+for them, into a calibration, which the estimator applies live (run --calibration).
 
 Examples:
   ahrs-service diagnose flight.tlog --html report.html --write-twin twin.toml
@@ -24,7 +24,7 @@ from rich.markup import escape
 
 from ahrs_service.app import intake_choice
 from ahrs_service.app.diagnose import diagnosis_text as text
-from ahrs_service.app.diagnose.diagnosis_page import most_telling, page
+from ahrs_service.app.diagnose.diagnosis_page import most_significant, page
 from ahrs_service.app.diagnose.diagnosis_terminal import summary
 from ahrs_service.app.diagnose.recording_diagnosis import diagnose
 from ahrs_service.app.files import calibration_file, toml_file, twin_file
@@ -49,33 +49,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ahrs-service diagnose`."""
     parser.add_argument("recording", type=Path, metavar="RECORDING", help=KNOWN)
     parser.add_argument(
-        "--twin", type=Path, metavar="TWIN.toml", help="the sensor as it is believed to be"
+        "--twin", type=Path, metavar="TWIN.toml", help="model of the sensor (default: ideal)"
     )
     parser.add_argument(
         "--against",
         type=Path,
         metavar="SIM.tlog",
-        help="diagnose this recording too, of the first vehicle in it, and say what the first "
-        "recording has that this one lacks",
+        help="also diagnose this recording (its first vehicle) and list what the first recording "
+        "has that this one lacks",
     )
     parser.add_argument(
         "--truth",
         type=Path,
         metavar="TRUTH.json",
-        help="what the recording is known to hold (as prove writes it): shown beside what is found",
+        help="the effects known to be in the recording (as prove writes them), shown next to what "
+        "is found",
     )
     intake_choice.add_arguments(parser)
-    parser.add_argument("--json", type=new_file, metavar="OUT", help="write the report")
-    parser.add_argument("--html", type=new_file, metavar="OUT", help="write one page with pictures")
-    parser.add_argument("--rrd", type=new_file, metavar="OUT", help="write for the Rerun viewer")
+    parser.add_argument("--json", type=new_file, metavar="OUT", help="write the report as JSON")
+    parser.add_argument("--html", type=new_file, metavar="OUT", help="write a page with plots")
+    parser.add_argument("--rrd", type=new_file, metavar="OUT", help="write a Rerun recording")
     parser.add_argument(
-        "--write-twin", type=new_file, metavar="OUT.toml", help="write the twin with what was found"
+        "--write-twin", type=new_file, metavar="OUT.toml", help="write the twin with the findings"
     )
     parser.add_argument(
         "--write-calibration",
         type=new_file,
         metavar="OUT.toml",
-        help="write a calibration that compensates what was found, as far as that can be",
+        help="write a calibration that compensates the findings, as far as it can",
     )
 
 
@@ -90,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
     if args.against is not None:
         against = args.against.name, diagnose_file(args.against, twin, errors)
         console.print(summary(*against))
-        _say_what_lacks(console, diagnosis, *against)
+        _print_lacking(console, diagnosis, *against)
     if args.json is not None:
         _write_json(args.json, diagnosis, against)
     if args.html is not None:
@@ -116,13 +117,13 @@ def diagnose_file(
     truth_path: Path | None = None,
     asked: IntakeSettings | None = None,
 ) -> Diagnosis:
-    """Read and diagnose a recording, with a bar; RecordingError says why it cannot be."""
+    """Read and diagnose a recording, with a progress bar; RecordingError says why it cannot."""
     with progress_bar(errors, path.name) as advance:
         return diagnose(path, twin, truth_path, advance, asked)
 
 
 def found_effects(diagnosis: Diagnosis) -> list[tuple[Effect, Values]]:
-    """Return what was found as effects with their parameters."""
+    """Return the findings as effects with their parameters."""
     return [
         (
             effect_of(finding.effect),
@@ -135,7 +136,7 @@ def found_effects(diagnosis: Diagnosis) -> list[tuple[Effect, Values]]:
 
 
 def extended(twin: Imu, diagnosis: Diagnosis) -> Imu:
-    """Return the twin with what was found; an effect that it had already takes the sum."""
+    """Return the twin with the findings added; an effect already in it becomes the sum."""
     return twin_file.with_effects(twin, found_effects(diagnosis))
 
 
@@ -150,7 +151,7 @@ def sigmas_of(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
     }
 
 
-def _say_what_lacks(console: Console, real: Diagnosis, name: str, simulated: Diagnosis) -> None:
+def _print_lacking(console: Console, real: Diagnosis, name: str, simulated: Diagnosis) -> None:
     findings, unexplained = text.lacking(real, simulated)
     console.print(f"What {escape(name)} lacks:", style="bold")
     for finding in findings:
@@ -158,7 +159,7 @@ def _say_what_lacks(console: Console, real: Diagnosis, name: str, simulated: Dia
     for item in unexplained:
         console.print(f"  {escape(text.unexplained_text(item))}", highlight=False)
     if not findings and not unexplained:
-        console.print("  nothing: whatever the real recording shows, this one has")
+        console.print("  nothing: everything found in the real recording is in this one too")
 
 
 def _write_json(path: Path, diagnosis: Diagnosis, against: tuple[str, Diagnosis] | None) -> None:
@@ -179,10 +180,10 @@ def _write_rrd(path: Path, name: str, diagnosis: Diagnosis) -> None:
     from ahrs_service.viz import report_plots as plots  # noqa: PLC0415
     from ahrs_service.viz.report_rrd import write_report  # noqa: PLC0415
 
-    telling = most_telling(diagnosis.covariates)
+    shown_covariates = most_significant(diagnosis.covariates)
     pictures = {}
-    for first in range(0, len(telling), _PANELS_SHOWN):
-        shown = telling[first : first + _PANELS_SHOWN]
+    for first in range(0, len(shown_covariates), _PANELS_SHOWN):
+        shown = shown_covariates[first : first + _PANELS_SHOWN]
         about = " and ".join(dict.fromkeys(item.covariate for item in shown[:2]))
         title = f"Residual against {about}, ..."
         pictures[title] = plots.as_png(plots.against_covariates(shown))
@@ -217,13 +218,13 @@ def _markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _without_bias(series: ResidualSeries) -> tuple[Floats, Floats, Floats]:
-    """Return time, before and after without the constant bias that is left: it is no finding."""
+    """Return time, before and after, less the remaining constant bias, which is no finding."""
     bias = series.after.mean(axis=0)
     return series.time_s, series.before - bias, series.after - bias
 
 
 def _write_calibration(path: Path, twin: Imu, diagnosis: Diagnosis, console: Console) -> None:
-    # The effects of the twin act beside those that were found, and are compensated with them.
+    # The effects of the twin are in the readings as well: both are compensated.
     folded = fold(twin.calibration, extended(twin, diagnosis).effects)
     calibration_file.save(path, folded.calibration)
     for identifier, why in folded.left:

@@ -1,4 +1,4 @@
-"""A diagnosis as one HTML page: its pictures inside, nothing from a network."""
+"""A diagnosis as one HTML page, plots included: nothing is loaded from a network."""
 
 import html
 import json
@@ -24,8 +24,8 @@ pre { overflow-x: auto; background: #f5f6f7; padding: 1rem; }
 """
 
 
-def most_telling(covariates: Sequence[Covariate]) -> list[Covariate]:
-    """Return of every covariate the most telling channel of each triad, the clearest first."""
+def most_significant(covariates: Sequence[Covariate]) -> list[Covariate]:
+    """Return, per covariate and triad, the most significant channel; the lowest p-value first."""
     best: dict[tuple[str, str], Covariate] = {}
     for item in sorted(covariates, key=lambda item: item.p_value):
         best.setdefault((item.covariate, item.triad), item)
@@ -33,7 +33,7 @@ def most_telling(covariates: Sequence[Covariate]) -> list[Covariate]:
 
 
 def page(name: str, diagnosis: Diagnosis, against: tuple[str, Diagnosis] | None = None) -> str:
-    """Return the page of a recording's diagnosis; `against` is a simulated one's, by its name."""
+    """Return the page of a diagnosis; `against` is a simulated recording's name and diagnosis."""
     body = "\n".join(_body(name, diagnosis, against))
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
@@ -57,17 +57,17 @@ def _body(name: str, diagnosis: Diagnosis, against: tuple[str, Diagnosis] | None
     if diagnosis.findings:
         yield from _holdout(diagnosis)
     if diagnosis.oracle is not None:
-        yield "<h2>Beside the truth</h2>"
+        yield "<h2>Compared with the truth</h2>"
         yield _table(text.TRUTH_HEAD, text.beside_truth(diagnosis))
         yield (
-            "<p>On held-out parts: before, with what was found, and with the true numbers "
-            "(the oracle, of which only the noise is fitted).</p>"
+            "<p>On held-out parts: before, with the findings, and with the true parameters "
+            "(the oracle, for which only the noise is fitted).</p>"
         )
         yield _table(text.ORACLE_HEAD, text.held_out_beside_truth(diagnosis))
     if against is not None:
         yield from _against(diagnosis, *against)
     if diagnosis.not_observable:
-        yield "<h2>What this recording cannot show</h2>"
+        yield "<h2>Not observable in this recording</h2>"
         rows = [(item.effect, item.why) for item in diagnosis.not_observable]
         yield _table(("effect", "why"), rows)
     yield from _noise(diagnosis)
@@ -84,7 +84,7 @@ def _finding(number: int, finding: Finding) -> Iterator[str]:
 
 
 def _pictures(diagnosis: Diagnosis) -> Iterator[str]:
-    # Loading matplotlib takes longer than most of what is not a picture.
+    # Loading matplotlib takes longer than the rest of the page.
     from ahrs_service.viz import report_plots as plots  # noqa: PLC0415
 
     rows = [
@@ -97,7 +97,7 @@ def _pictures(diagnosis: Diagnosis) -> Iterator[str]:
     ]
     series = diagnosis.series
     if diagnosis.findings:
-        yield "<h2>How sure: the effects and their next best</h2>"
+        yield "<h2>How sure: each effect and the next best explanation</h2>"
         names, evidence = [], []
         for finding in diagnosis.findings:
             names.append(finding.effect)
@@ -115,18 +115,19 @@ def _pictures(diagnosis: Diagnosis) -> Iterator[str]:
             )
         )
         if rows:
-            yield "<h2>Where it shows</h2>"
+            yield "<h2>When it is present</h2>"
             whole = float(series.time_s[0]), float(series.time_s[-1])
             yield _picture(plots.as_svg(plots.timeline(rows, whole)))
     if diagnosis.covariates:
-        telling = most_telling(diagnosis.covariates)
-        yield "<h2>Residual against what it may depend on</h2>"
+        shown_covariates = most_significant(diagnosis.covariates)
+        yield "<h2>Residual against each covariate</h2>"
         yield (
             "<p>Dots are means of the residual before any finding, in bins of the covariate; the "
-            "grey band is what noise alone makes of them (2 sigma); the line is what the findings "
-            "explain. Of every covariate the channel of each sensor that depends on it most.</p>"
+            "grey band is the 2-sigma range of noise alone; the line is what the findings "
+            "explain. For every covariate the channel of each sensor that depends on it most is "
+            "plotted.</p>"
         )
-        yield _picture(plots.as_svg(plots.against_covariates(telling)))
+        yield _picture(plots.as_svg(plots.against_covariates(shown_covariates)))
 
 
 def _holdout(diagnosis: Diagnosis) -> Iterator[str]:
@@ -155,7 +156,7 @@ def _against(real: Diagnosis, name: str, simulated: Diagnosis) -> Iterator[str]:
     sentences = [f"{text.title(one.effect)} ({one.effect})" for one in findings]
     sentences += [text.unexplained_text(item) for item in unexplained]
     if not sentences:
-        yield "<p>Nothing: whatever the real recording shows, the simulated one has.</p>"
+        yield "<p>Nothing: everything found in the real recording is in the simulated one too.</p>"
         return
     yield "<ul>" + "".join(f"<li>{_safe(one)}</li>" for one in sentences) + "</ul>"
 
@@ -167,7 +168,7 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
         yield _table(("", "value"), rows)
     white = diagnosis.whiteness
     if white is not None:
-        yield "<h2>Are the whitened innovations white and normal?</h2>"
+        yield "<h2>Tests of the innovations: white and Gaussian?</h2>"
         channels = ("gyro x", "gyro y", "gyro z", "accel x", "accel y", "accel z")
         tests = [
             (channel, f"{ljung:.3g}", f"{normal:.3g}")

@@ -16,7 +16,7 @@ _STYLES = {"no_mismatch": "green", "explained": "yellow", "unexplained": "red"}
 
 
 def summary(name: str, diagnosis: Diagnosis) -> RenderableType:
-    """Return the whole answer as tables and paragraphs."""
+    """Return the whole diagnosis as tables and paragraphs."""
     return Group(*_parts(name, diagnosis))
 
 
@@ -36,9 +36,9 @@ def _parts(name: str, diagnosis: Diagnosis) -> Iterator[RenderableType]:
     if diagnosis.free_run is not None:
         yield Text(text.free_run_text(diagnosis.free_run))
     if diagnosis.oracle is not None:
-        yield _table("beside the truth", text.TRUTH_HEAD, text.beside_truth(diagnosis))
+        yield _table("compared with the truth", text.TRUTH_HEAD, text.beside_truth(diagnosis))
         rows = text.held_out_beside_truth(diagnosis)
-        yield _table("on held-out parts, beside the truth", text.ORACLE_HEAD, rows)
+        yield _table("on held-out parts, compared with the truth", text.ORACLE_HEAD, rows)
     if diagnosis.not_observable:
         yield not_observable_table(diagnosis)
     for note in diagnosis.notes:
@@ -47,7 +47,7 @@ def _parts(name: str, diagnosis: Diagnosis) -> Iterator[RenderableType]:
 
 def findings_table(diagnosis: Diagnosis) -> Table:
     """Return one row per finding with its figures."""
-    table = Table(title="what was left out", title_justify="left", box=box.SIMPLE)
+    table = Table(title="missing effects", title_justify="left", box=box.SIMPLE)
     table.add_column("effect", no_wrap=True)
     table.add_column("axes")
     for name in ("log evidence", "next best", "held-out gain"):
@@ -65,7 +65,7 @@ def findings_table(diagnosis: Diagnosis) -> Table:
 
 
 def holdout_table(diagnosis: Diagnosis) -> Table:
-    """Return the residual on held-out parts before and after each finding, and the free run."""
+    """Return the residual on held-out parts before and after each finding."""
     table = Table(title="on held-out parts of the recording", title_justify="left", box=box.SIMPLE)
     table.add_column("")
     for name in ("x", "y", "z"):
@@ -94,9 +94,9 @@ def _table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> Ta
 
 
 def not_observable_table(diagnosis: Diagnosis) -> Table:
-    """Return what this recording cannot show, and why."""
+    """Return the effects that are not observable in this recording, and why."""
     table = Table(
-        title="what this recording cannot show", title_justify="left", box=box.SIMPLE, style="dim"
+        title="not observable in this recording", title_justify="left", box=box.SIMPLE, style="dim"
     )
     table.add_column("effect")
     table.add_column("why", overflow="fold")

@@ -1,4 +1,4 @@
-"""What a diagnosis says, in plain sentences: the same words on the screen, the page, the viewer."""
+"""A diagnosis in plain sentences: the same words on the screen, the page and the viewer."""
 
 import re
 from collections.abc import Iterable
@@ -20,8 +20,8 @@ from ahrs_service.effects.catalogue import effect_of, often_taken_for
 
 VERDICTS: Final = {
     "no_mismatch": "No mismatch: the recording agrees with the twin within its noise.",
-    "explained": "Explained: what is named below brings recording and twin together.",
-    "unexplained": "Unexplained: something real is left that no effect of the catalogue explains.",
+    "explained": "Explained: with the effects below the twin agrees with the recording.",
+    "unexplained": "Unexplained: a real difference is left that no known effect explains.",
 }
 """The verdict as a sentence."""
 
@@ -29,7 +29,9 @@ TRUTH_HEAD: Final = ("effect", "parameter", "true", "found")
 ORACLE_HEAD: Final = ("", "before", "found", "oracle")
 """Columns of `beside_truth` and `held_out_beside_truth`."""
 
-DOUBTFUL_TRUTH: Final = "the true numbers explain this recording worse than none: is it its truth?"
+DOUBTFUL_TRUTH: Final = (
+    "the true parameters fit this recording worse than none: is this its truth file?"
+)
 
 _UNIT_IN_NAME: Final = re.compile("_(s|m|hz|a|rad|degC|rad_s_per_m_s2)$")
 _SPANS_SHOWN: Final = 3
@@ -40,7 +42,7 @@ def paragraph(finding: Finding, has_numbers: bool = True) -> str:
     """Return one finding as a paragraph: what, where, how much, how sure, what to do."""
     parts = [_sentence(finding.explanation)]
     if finding.where:
-        parts.append(f"It shows {where_text(finding.where)}.")
+        parts.append(f"It is largest {where_text(finding.where)}.")
     if has_numbers:
         parts.append(f"Fitted: {parameters_text(finding)}.")
     parts.append(f"Added to the reading: {effect_of(finding.effect).equation}.")
@@ -51,32 +53,32 @@ def paragraph(finding: Finding, has_numbers: bool = True) -> str:
         parts.append(f"This recording cannot tell it from {names}.")
     mistaken = [one for one in often_taken_for(effect_of(finding.effect)) if one not in others]
     if mistaken:
-        parts.append(f"It is often taken for {' or '.join(title(one) for one in mistaken)}.")
+        parts.append(f"It is often mistaken for {' or '.join(title(one) for one in mistaken)}.")
     if finding.separating_manoeuvre:
-        parts.append(f"To be sure: {finding.separating_manoeuvre}.")
+        parts.append(f"To separate them: {finding.separating_manoeuvre}.")
     parts.append(_sentence(live_text(finding.effect)))
     return " ".join(parts)
 
 
 def _held_out_text(finding: Finding) -> str:
-    """Say what a finding gains where it was not fitted, on the axis and in the band of most."""
+    """Return the held-out gain as a sentence, for the axis and band that improve most."""
     held = finding.holdout
     before = np.array([held.rms_before, held.low_frequency_rms_before])
     after = np.array([held.rms_after, held.low_frequency_rms_after])
     band, axis = np.unravel_index(np.argmin(after / np.maximum(before, 1e-30)), before.shape)
     return (
-        f"On parts of the recording it was not fitted to it gains {held.log_likelihood_gain:.0f} "
-        f"nats of likelihood ({_chance(finding.p_value)}), and the residual of the "
-        f"{triad_of(finding.effect)} on {'xyz'[axis]}{' below 0.05 Hz' if band else ''} goes from "
+        f"On held-out parts of the recording it gains {held.log_likelihood_gain:.0f} "
+        f"nats of log-likelihood ({_chance(finding.p_value)}), and the {triad_of(finding.effect)} "
+        f"residual on {'xyz'[axis]}{' below 0.05 Hz' if band else ''} drops from "
         f"{before[band, axis]:.3g} to {after[band, axis]:.3g} {unit_of(finding.effect)} rms."
     )
 
 
 def live_text(effect: str) -> str:
-    """Say whether the estimator can compensate an effect live, and why not."""
+    """Return a sentence on whether the estimator can compensate an effect live, or why not."""
     why = effect_of(effect).why_not_live
     if why is None:
-        return "The estimator can compensate it live, by a calibration file"
+        return "The estimator can compensate it live, with a calibration file"
     return (
         f"It cannot be compensated live: it {why}"
         if why.startswith("needs")
@@ -85,30 +87,30 @@ def live_text(effect: str) -> str:
 
 
 def unexplained_text(item: Unexplained) -> str:
-    """Return something that no effect explains, as a sentence."""
+    """Return an unexplained dependence as a sentence."""
     depends = " and ".join(item.depends_on) or "nothing that was recorded"
     place = f" {where_text(item.where)}" if item.where else ""
     return (
         f"{words(item.channel)} deviates{place} and depends on {words(depends)} "
-        f"({_chance(item.p_value)}); no effect of the catalogue explains it."
+        f"({_chance(item.p_value)}); no known effect explains it."
     )
 
 
 def implausible_text(item: Implausible) -> str:
-    """Say that an effect would explain something, but not at a size that is believed."""
+    """Return a sentence on an effect that would explain the data only at an implausible size."""
     sizes = ", ".join(
         f"{parameter_text(name)} {estimate_text(Estimated(item.parameters[name], 0.0, '1'))} "
         f"(data sheets: up to {largest:.2g})"
         for name, largest in item.plausible.items()
     )
     return (
-        f"Not believed: {title(item.effect)} ({item.effect}) would gain {item.log_evidence:.0f} "
-        f"nats, but with {sizes}; something else acts, in recording, reference or vehicle."
+        f"Implausible: {title(item.effect)} ({item.effect}) would gain {item.log_evidence:.0f} "
+        f"nats, but with {sizes}; look for another cause in recording, reference or vehicle."
     )
 
 
 def where_text(where: Iterable[Where]) -> str:
-    """Return where something shows: "from 60 s to 150 s (vibration above 2 m/s^2)"."""
+    """Return the spans of a finding: "from 60 s to 150 s (vibration above 2 m/s^2)"."""
     spans = list(where)
     shown = [
         f"from {one.t0_s:.0f} s to {one.t1_s:.0f} s" + (f" ({one.regime})" if one.regime else "")
@@ -127,7 +129,7 @@ def parameters_text(finding: Finding) -> str:
 
 
 def parameter_rows(finding: Finding) -> list[tuple[str, ...]]:
-    """Return the parameters as rows of name with unit, x, y, z; a number stands under x."""
+    """Return the parameters as rows of name with unit, x, y, z; a scalar is under x."""
     rows = []
     for name, estimate in finding.parameters.items():
         value, std = np.asarray(estimate.value), np.asarray(estimate.std)
@@ -158,7 +160,7 @@ def _numbers(value: Any, std: Any) -> str:
         return "(" + ", ".join(_numbers(v, s) for v, s in zip(value, std, strict=True)) + ")"
     if not np.isfinite(std) or std <= 0.0:
         return f"{float(value):.4g}"
-    # Two digits of the sigma say all; small numbers are written with their power of ten.
+    # Two digits of the sigma are enough; small numbers are written with their power of ten.
     size = int(np.floor(np.log10(max(abs(value), std))))
     power = size if size < _SMALLEST_POWER else 0
     digits = max(0, 1 + power - int(np.floor(np.log10(std))))
@@ -167,14 +169,14 @@ def _numbers(value: Any, std: Any) -> str:
 
 
 def title(effect: str) -> str:
-    """Return an effect's title with its sensor: "z accelerometer" is said by the finding."""
+    """Return an effect's title after its sensor, as in "gyro: scale factor error"."""
     sensor = {"gyro": "gyro: ", "accel": "accelerometer: ", "imu": ""}
     found = effect_of(effect)
     return sensor[found.triad] + found.title
 
 
 def triad_of(effect: str) -> str:
-    """Return the triad whose residual a finding's held-out figures are of."""
+    """Return the triad that a finding's held-out figures are given for."""
     return "accel" if effect_of(effect).triad == "accel" else "gyro"
 
 
@@ -184,15 +186,15 @@ def unit_of(effect: str) -> str:
 
 
 def free_run_text(run: FreeRun) -> str:
-    """Say how far the attitude runs off when the gyro is alone."""
+    """Return a sentence on the attitude drift of the gyro integrated alone."""
     return (
-        f"Attitude error after 60 s of the gyro alone: {run.before:.2f} deg before, "
+        f"Attitude error after 60 s on the gyro alone: {run.before:.2f} deg before, "
         f"{run.after:.2f} deg after."
     )
 
 
 def beside_truth(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
-    """Return rows of effect, parameter, true value, value found: of every true or found effect."""
+    """Return rows of effect, parameter, true and found value, for every true or found effect."""
     oracle = diagnosis.oracle
     if oracle is None:
         return []
@@ -203,21 +205,21 @@ def beside_truth(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
         inside = [one.effect for one in found.values() if true.effect in one.alike]
         for name, value in true.parameters.items():
             unit = {p.name: p.unit for p in effect_of(true.effect).parameters}[name]
-            told = estimate_text(Estimated(value, np.zeros(np.shape(value)), unit))
+            known = estimate_text(Estimated(value, np.zeros(np.shape(value)), unit))
             if mine is not None:
                 got = estimate_text(mine.parameters[name])
             else:
                 got = f"in the class of {inside[0]}" if inside else "not found"
-            rows.append((true.effect, parameter_text(name), told, got))
-    rows += [(what, "", "has no equation here", "") for what in oracle.outside]
+            rows.append((true.effect, parameter_text(name), known, got))
+    rows += [(what, "", "not in the catalogue", "") for what in oracle.outside]
     for finding in found.values():
         if not any(true.effect in finding.alike for true in oracle.effects):
-            rows.append((finding.effect, "", "not there", parameters_text(finding)))
+            rows.append((finding.effect, "", "not present", parameters_text(finding)))
     return rows
 
 
 def held_out_beside_truth(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
-    """Return rows of figure, before, found, with the true numbers: all on held-out parts."""
+    """Return rows of figure, before, with the findings, with the truth: all on held-out parts."""
     oracle = diagnosis.oracle
     if oracle is None:
         return []
@@ -237,7 +239,7 @@ def held_out_beside_truth(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
     if run is not None and oracle.free_run_deg is not None:
         figures = run.before, run.after, oracle.free_run_deg
         rows.append(
-            ("attitude after 60 s of the gyro alone [deg]", *(f"{one:.3f}" for one in figures))
+            ("attitude error after 60 s on gyro alone [deg]", *(f"{one:.3f}" for one in figures))
         )
     return rows
 
@@ -261,14 +263,14 @@ def _sentence(text: str) -> str:
 
 def _chance(p_value: float) -> str:
     if p_value < 1e-12:
-        return "by chance in less than one of 10^12 recordings"
-    return f"by chance in {p_value:.1g} of recordings without it"
+        return "chance of a false alarm below 1e-12"
+    return f"chance of a false alarm {p_value:.1g}"
 
 
 def lacking(real: Diagnosis, simulated: Diagnosis) -> tuple[list[Finding], list[Unexplained]]:
     """Return what the real recording has that the simulated one lacks.
 
-    A finding counts as had by the simulated one where any effect of its class was found there.
+    A finding is not lacking where any effect of its class was found in the simulated one.
     """
     had = {one for finding in simulated.findings for one in finding.alike or (finding.effect,)}
     findings = [

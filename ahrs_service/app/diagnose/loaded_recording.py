@@ -1,8 +1,8 @@
-"""A recording of any format as diagnosis and simulation take it: columns on one clock.
+"""A recording of any format as diagnosis and simulation use it: columns on one clock.
 
-Times are seconds since the sender's power-on where the recording tells it, else since its begin.
-The IMU is the one that the intake chooses, rotated into the vehicle's axes by AHRS_TRIM, as the
-estimator does; all else is of the same vehicle.
+Times are seconds since the sender's power-on where the recording has it, else since its start.
+The IMU is the one that the intake chooses, rotated into the vehicle's axes by AHRS_TRIM, as in the
+estimator; everything else is from the same vehicle.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ Progress = Callable[[float], None]
 
 _HIGHRES: Final = (ImuSource.HIGHRES_IMU, ImuSource.HIGHRES_IMU_1, ImuSource.HIGHRES_IMU_2)
 _LATEST_BEGIN_S: Final = 1e8
-"""A clock that begins later than this, three years, does not count from power-on."""
+"""A clock that starts later than this, three years, does not count from power-on."""
 _VELOCITIES: Final = (Kind.VELOCITY, Kind.GLOBAL_VELOCITY, Kind.GPS)
 _VIBRATION_S: Final = 2.0
 _LEAST_RATE_HZ: Final = 20.0
@@ -35,9 +35,9 @@ _LEAST_RATE_HZ: Final = 20.0
 
 @dataclass(frozen=True, slots=True)
 class Loaded:
-    """The columns of a recording, and `notes` on what stands for what was not recorded.
+    """The columns of a recording, and `notes` on what replaces a quantity that was not recorded.
 
-    `position_ned_m` is the GPS receiver's, from its first fix: for where no velocity is known.
+    `position_ned_m` is the GPS receiver's, relative to its first fix, for use without a velocity.
     """
 
     columns: Recorded
@@ -46,7 +46,7 @@ class Loaded:
 
 
 def rising(series: Series) -> Series:
-    """Return the series in order of time, each instant once."""
+    """Return the series sorted by time, without repeated instants."""
     if not len(series):
         return series
     _, first = np.unique(series.time_s, return_index=True)
@@ -56,10 +56,10 @@ def rising(series: Series) -> Series:
 def load(
     path: Path, progress: Progress | None = None, asked: IntakeSettings | None = None
 ) -> Loaded:
-    """Read a recording; RecordingError says why it cannot serve.
+    """Read a recording; RecordingError says why it cannot be used.
 
-    The vehicle and its IMU are those that the intake chooses, as `asked` or by itself; unlike in a
-    replay, what they told before the vehicle's first heartbeat counts too.
+    The intake chooses the vehicle and its IMU, as `asked` or automatically. Unlike in a replay,
+    data from before the vehicle's first heartbeat is used too.
     """
     recording = read_recording(path, progress)
     settings = intake_of(recording, asked)
@@ -79,7 +79,7 @@ def load(
 
     attitude_s = np.asarray(reference.time_ns * 1e-9 - shift_s, np.float64)
 
-    def beside(values: Floats | None) -> Series:
+    def of_reference(values: Floats | None) -> Series:
         return Series() if values is None else rising(Series(attitude_s, values))
 
     gyro, accel = imu["gyro_rad_s"].copy(), imu["accel_m_s2"].copy()
@@ -92,16 +92,16 @@ def load(
     if not len(vibration):
         vibration = vibration_of(imu_s, accel)
         notes.append("vibration: computed from the accelerometer itself")
-    velocity = beside(reference.velocity_ned_m_s)
+    velocity = of_reference(reference.velocity_ned_m_s)
     return Loaded(
         Recorded(
             name=path.name,
             imu_time_s=imu_s,
             gyro_rad_s=_in_vehicle_axes(readings, gyro),
             accel_m_s2=_in_vehicle_axes(readings, accel),
-            attitude=beside(reference.ned_from_body),
+            attitude=of_reference(reference.ned_from_body),
             velocity_ned_m_s=velocity if len(velocity) else _velocity(readings, shift_s),
-            body_rate_rad_s=beside(reference.rate_rad_s),
+            body_rate_rad_s=of_reference(reference.rate_rad_s),
             temperature_degc=temperature,
             vibration_m_s2=vibration,
             current_a=series(covariates.current_a),
@@ -115,7 +115,7 @@ def load(
 
 
 def vibration_of(time_s: Floats, accel_m_s2: Floats) -> Series:
-    """Return the 1-sigma [N, 3] of what is faster than 1 s, over 2 s; none below 20 Hz."""
+    """Return the 1-sigma [N, 3] over 2 s of the signal above 1 Hz; none for rates below 20 Hz."""
     if len(time_s) < 2 or np.median(np.diff(time_s)) > 1.0 / _LEAST_RATE_HZ:
         return Series()
     rate_hz = 1.0 / float(np.median(np.diff(time_s)))
@@ -127,7 +127,7 @@ def vibration_of(time_s: Floats, accel_m_s2: Floats) -> Series:
 
 
 def _in_time(path: Path, rows: Rows) -> Rows:
-    """Return the whole samples in order of time: of a clock set back, the longest piece."""
+    """Return the finite samples in order of time; the longest piece if the clock was set back."""
     finite = np.isfinite(rows["gyro_rad_s"]).all(axis=1)
     finite &= np.isfinite(rows["accel_m_s2"]).all(axis=1)
     rows = rows[finite]
@@ -145,7 +145,7 @@ def _in_time(path: Path, rows: Rows) -> Rows:
 
 
 def _reference(recording: Recording, vehicle: Vehicle) -> AttitudeReference:
-    """Return the truth of a simulator, else the vehicle's reference with most instants."""
+    """Return a simulator's truth, else the vehicle's reference with most samples."""
     references = recording.references_of(vehicle)
     if not references:
         raise RecordingError(
@@ -169,7 +169,7 @@ def _in_vehicle_axes(readings: Rows, vectors: Floats) -> Floats:
 def _temperature(
     readings: Rows, imu: Rows, shift_s: float, settings: IntakeSettings
 ) -> tuple[Series, str]:
-    """Return the temperature of the IMU chosen, else that beside its samples with a note."""
+    """Return the temperature of the chosen IMU, else the one sent with its samples, and a note."""
     rows = readings[(readings["kind"] == Kind.IMU) & np.isfinite(readings["temperature_degc"])]
     is_trusted = settings.temperature_source == "highres_imu"
     number = IMU_OF_SOURCE.get(ImuSource(int(imu["source"][0])), 0)
@@ -185,7 +185,7 @@ def _temperature(
 
 
 def _velocity(readings: Rows, shift_s: float) -> Series:
-    """Return the velocity with most instants: the filter's before the receiver's."""
+    """Return the velocity with most samples; the filter's is preferred to the receiver's."""
     found = []
     for kind in _VELOCITIES:
         rows = readings[readings["kind"] == kind]

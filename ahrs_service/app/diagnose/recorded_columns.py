@@ -1,4 +1,4 @@
-"""What diagnosis takes from a recording of any format."""
+"""The columns that diagnosis needs, from a recording of any format."""
 
 import dataclasses
 from collections.abc import Callable
@@ -24,7 +24,7 @@ def read_columns(
 
 
 def with_velocity(loaded: Loaded) -> Recorded:
-    """Return the columns, with the velocity of the receiver's positions where there is no other."""
+    """Return the columns; without a velocity, that of the receiver's positions is used."""
     columns, place = loaded.columns, loaded.position_ned_m
     if len(columns.velocity_ned_m_s):
         return columns

@@ -22,7 +22,7 @@ from ahrs_service.simulation.imu import Imu
 Advance = Callable[[str, float], None]
 
 _READ: Final = 0.05
-"""Share of the whole time in which a recording is read."""
+"""Share of the total time spent on reading the recording."""
 
 
 def diagnose(
@@ -32,13 +32,13 @@ def diagnose(
     advance: Advance | None = None,
     intake: IntakeSettings | None = None,
 ) -> Diagnosis:
-    """Compare a recording with its twin: where they differ, what physics was left out, how sure.
+    """Compare a recording with its twin: where they differ, what physics is missing, how sure.
 
-    `source` is a recording (.tlog, .ulg, .bin) or columns of one; `twin` the sensor as it is
-    believed to be, or its file, without one an ideal sensor; `truth` a file of what the recording
-    is known to hold, shown beside what is found. `advance` is called with what is being done and
-    the share done, 0 to 1; `intake` names the vehicle and IMU of a log of several. RecordingError
-    or DiagnosisError says what is missing.
+    `source` is a recording (.tlog, .ulg, .bin) or columns of one; `twin` is a model of the sensor
+    or its file (default: an ideal sensor); `truth` is a file of the effects known to be in the
+    recording, to compare the findings with. `advance` is called with the current stage and the
+    share done, 0 to 1; `intake` selects vehicle and IMU in a log of several. RecordingError or
+    DiagnosisError says what is missing.
 
     >>> from ahrs_service import diagnose
     >>> diagnosis = diagnose("bench.tlog")
@@ -79,7 +79,7 @@ def _diagnose(
 
 
 def compensated(columns: Recorded, calibration: Calibration) -> Recorded:
-    """Return the columns with the twin's calibration taken away from the IMU's readings."""
+    """Return the columns with the IMU's readings compensated by the twin's calibration."""
     if calibration == Calibration.ideal():
         return columns
     time_s = columns.imu_time_s

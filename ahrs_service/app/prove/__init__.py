@@ -1,1 +1,1 @@
-"""The locator of left-out physics, tested on sealed recordings."""
+"""Blind tests of the diagnosis on recordings whose truth is sealed."""

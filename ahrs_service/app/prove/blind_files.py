@@ -15,7 +15,7 @@ TRUTH_SUFFIX: Final = ".truth.json"
 REPORT_SUFFIX: Final = ".report.json"
 
 _EPOCH_US: Final = 1_750_000_000_000_000
-"""Wall clock of every blind recording's boot [us since 1970]: a seed gives the same bytes."""
+"""Wall clock at boot of every blind recording [us since 1970]: one seed gives the same bytes."""
 
 
 def case_bytes(case: Case) -> bytes:
@@ -36,7 +36,7 @@ def write_case(recordings: Path, truths: Path, case: Case) -> None:
 
 
 def seal(truths: Path) -> str:
-    """Return the SHA-256 over the truth files of a folder: names and bytes, in order of names."""
+    """Return the SHA-256 over names and bytes of a folder's truth files, sorted by name."""
     digest = hashlib.sha256()
     for path in sorted(truths.glob(f"*{TRUTH_SUFFIX}")):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
@@ -44,19 +44,19 @@ def seal(truths: Path) -> str:
 
 
 def truths_of(folder: Path) -> Path:
-    """Return where the truths of a folder of recordings are: in it, or in its `truths`."""
+    """Return the folder with the truths of a set: its `truths` if there is one, else itself."""
     inner = folder / "truths"
     return inner if inner.is_dir() else folder
 
 
 def recordings(folder: Path) -> list[Path]:
-    """Return the recordings of a folder that have a truth, in order of names."""
+    """Return the recordings of a folder that have a truth, sorted by name."""
     truths = truths_of(folder)
     found = sorted(
         path for path in folder.glob("*.tlog") if (truths / f"{path.stem}{TRUTH_SUFFIX}").is_file()
     )
     if not found:
-        raise RecordingError(f"{folder}: no NAME.tlog with NAME{TRUTH_SUFFIX} beside it")
+        raise RecordingError(f"{folder}: no NAME.tlog with NAME{TRUTH_SUFFIX} next to it")
     return found
 
 

@@ -1,4 +1,4 @@
-"""One recording put to the locator and to its rivals."""
+"""One recording diagnosed by `diagnose` and by the baselines."""
 
 import time
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ OURS: Final = "diagnose"
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """Reports by rival, seconds of ours, and why ours failed if it did."""
+    """Reports by method, seconds that `diagnose` took, and why it failed if it did."""
 
     name: str
     reports: dict[str, dict[str, Any]]
@@ -27,7 +27,7 @@ class Answer:
 
 
 def answer(path: Path, with_rivals: bool) -> Answer:
-    """Put one recording to all; a diagnosis that fails names nothing, and says why."""
+    """Diagnose one recording with all methods; a failed diagnosis has no findings and a reason."""
     began, failure = time.perf_counter(), ""
     try:
         recorded = read_columns(path)

@@ -1,4 +1,4 @@
-"""Tables of a proof: the score beside its rivals', where it holds, and what went wrong."""
+"""Tables of a blind test: the score next to the baselines', by effect, and the errors."""
 
 import statistics
 from typing import Final
@@ -12,7 +12,7 @@ _SHOWN: Final = 40
 
 
 def share(rate: Rate) -> str:
-    """Return hits and total, below them the Wilson interval [%]: `12/13` over `67-99`."""
+    """Return hits and total, and the Wilson interval [%] below them: `12/13` over `67-99`."""
     if not rate.total:
         return "-"
     low, high = rate.interval()
@@ -28,11 +28,11 @@ def _table(title: str, *columns: str) -> Table:
 
 
 def score_table(marks: dict[str, list[Mark]], count: int) -> Table:
-    """Return the score: a row per figure, a column per rival, with Wilson 95 % intervals."""
+    """Return the score: a row per figure, a column per method, with Wilson 95 % intervals."""
     table = _table(
         f"score of {count} recordings: hits/of, Wilson 95 % interval in %",
         "figure",
-        "asked",
+        "required",
         *marks,
     )
     scored = {title: score(those) for title, those in marks.items()}
@@ -49,9 +49,12 @@ def score_table(marks: dict[str, list[Mark]], count: int) -> Table:
 
 
 def where_table(marks: list[Mark]) -> Table:
-    """Return ours by effect (or kind of null) and kind of recording: right first, or no alarm."""
+    """Return the share of right answers by hidden effect (or kind of null) and recording kind.
+
+    Right is the hidden effect named first, and for a null no alarm.
+    """
     kinds = ("bench", "flight", "copter")
-    table = _table("where it holds: right first, nulls without alarm", "hidden", *kinds)
+    table = _table("by effect: named first, nulls without alarm", "hidden", *kinds)
     rows = sorted({(m.what, _label(m)) for m in marks})
     for what, label in rows:
         these = [m for m in marks if (m.what, _label(m)) == (what, label)]
@@ -61,7 +64,7 @@ def where_table(marks: list[Mark]) -> Table:
 
 
 def misses_table(marks: list[Mark], failures: dict[str, str]) -> Table:
-    """Return the recordings that went wrong: what was hidden and what was named."""
+    """Return the recordings diagnosed wrongly: what was hidden and what was named."""
     table = _table("what went wrong", "recording", "level", "hidden", "named")
     wrong = [m for m in marks if not _is_right(m) or m.extra]
     for mark in wrong[:_SHOWN]:

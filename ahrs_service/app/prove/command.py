@@ -1,14 +1,14 @@
-"""Prove the locator: hide physics in sealed recordings, diagnose them, unseal, score.
+"""Test the diagnosis blind: hide physics in recordings, diagnose them, then read the truth, score.
 
 The recordings are made by a generator that shares no code with the fitting. Their truth is written
 and hashed before the first diagnosis; the hash is printed and checked again before it is read.
-Rivals choose among the same effects: stepwise regression by F-test or BIC, the lasso; the oracle
-knows each effect's shape and the noise. Shares stand with their Wilson 95 % intervals.
+The baselines choose among the same effects: stepwise regression by F-test or BIC, the lasso; the
+oracle knows each effect's shape and the noise. Shares are given with Wilson 95 % intervals.
 
 Examples:
   ahrs-service prove --count 100 --jobs 2
-  ahrs-service prove --cases FOLDER      diagnose NAME.tlog, score by NAME.truth.json beside it
-  ahrs-service prove --cases FOLDER --reports FOLDER     score NAME.report.json as they are
+  ahrs-service prove --cases FOLDER      diagnose each NAME.tlog, score with its NAME.truth.json
+  ahrs-service prove --cases FOLDER --reports FOLDER     score existing NAME.report.json
 
 """
 
@@ -56,7 +56,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """All that the tables show: the seal, marks by rival, seconds and failures by recording."""
+    """All that the tables show: the seal, marks by method, seconds and failures by recording."""
 
     seal: str
     marks: dict[str, list[Mark]]
@@ -72,27 +72,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds", type=whole, metavar="S", help="length of each (default 200 to 400 by kind)"
     )
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the set (default 1)")
+    parser.add_argument(
+        "--seed", type=int, default=1, metavar="N", help="random seed of the set (default 1)"
+    )
     parser.add_argument(
         "--controls",
         type=int,
         default=0,
         metavar="N",
-        help="as well N negative controls: nulls whose covariates are another flight's, reversed "
-        "in time, or of flipped temperature",
+        help="add N negative controls: nulls whose covariates are from another flight, reversed "
+        "in time, or with the temperature inverted",
     )
-    parser.add_argument("--cases", type=Path, metavar="DIR", help="score recordings that are there")
+    parser.add_argument("--cases", type=Path, metavar="DIR", help="use the recordings in DIR")
     parser.add_argument(
         "--reports", type=Path, metavar="DIR", help="with --cases: score NAME.report.json of DIR"
     )
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep recordings, truths, reports")
+    parser.add_argument(
+        "--keep", type=Path, metavar="DIR", help="keep recordings, truths and reports in DIR"
+    )
     parser.add_argument("--jobs", type=whole, default=1, metavar="N", help="processes (default 1)")
-    parser.add_argument("--no-rivals", action="store_true", help="leave the baselines out")
+    parser.add_argument("--no-rivals", action="store_true", help="do not run the baselines")
     parser.add_argument("--json", type=new_file, metavar="OUT", help="write marks and score")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Make or take a set, diagnose, score; 0 if every recording got a report, 1 if not."""
+    """Make or read a set, diagnose, score; return 0 if every recording got a report, else 1."""
     if args.reports and not args.cases:
         raise ConfigError("--reports: give the recordings' folder with --cases as well")
     console = Console()
@@ -104,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
         console.print(f"truths sealed: sha256 {sealed}", soft_wrap=True)
         answers = _given(paths, args.reports) if args.reports else _ask(paths, args, console)
         if seal(truths) != sealed:
-            raise RecordingError(f"{truths}: a truth changed while the set was diagnosed")
+            raise RecordingError(f"{truths}: a truth file changed while the set was diagnosed")
         proof = _judge(answers, truths, sealed)
     console.print(score_table(proof.marks, len(answers)))
     console.print(where_table(proof.marks[OURS]))
@@ -130,7 +134,7 @@ def _make(args: argparse.Namespace, folder: Path, console: Console) -> None:
     requests = [*plan(args.count, args.seed, args.seconds), *controls(args.controls, args.seed)]
     truths = folder / "truths"
     if truths.exists():
-        raise ConfigError(f"--keep {folder}: holds a set already; give an empty folder")
+        raise ConfigError(f"--keep {folder}: already holds a set; give an empty folder")
     truths.mkdir()
     for request in _track(requests, len(requests), "hiding", console):
         try:
@@ -141,7 +145,7 @@ def _make(args: argparse.Namespace, folder: Path, console: Console) -> None:
 
 
 def _ask(paths: list[Path], args: argparse.Namespace, console: Console) -> list[Answer]:
-    """Diagnose every recording, in `--jobs` processes; reports are kept as they come."""
+    """Diagnose every recording, in `--jobs` processes; with `--keep` each report is written."""
     rivals, answers = not args.no_rivals, []
     with _answers(paths, rivals, args.jobs) as coming:
         for one in _track(coming, len(paths), "diagnosing", console):
@@ -152,7 +156,7 @@ def _ask(paths: list[Path], args: argparse.Namespace, console: Console) -> list[
 
 
 def _given(paths: list[Path], folder: Path) -> list[Answer]:
-    """Return the reports that are there; recordings without one are left out."""
+    """Return the existing reports; recordings without one are left out."""
     reports = {path.stem: read_report(folder, path.stem) for path in paths}
     answers = [Answer(name, {OURS: report}, 0.0) for name, report in reports.items() if report]
     if not answers:
@@ -223,4 +227,4 @@ def _write_json(path: Path, proof: Proof) -> None:
     try:
         path.write_text(json.dumps(document, indent=1), encoding="utf-8")
     except OSError as error:
-        raise ConfigError(f"--json {path}: {error.strerror}; give a place to write to") from error
+        raise ConfigError(f"--json {path}: {error.strerror}; give a writable file") from error

@@ -1,1 +1,1 @@
-"""Judging of what is found in sealed recordings: scores, and rivals in the same table."""
+"""Scoring of the findings in blind recordings, next to those of baselines."""

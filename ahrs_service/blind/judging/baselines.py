@@ -1,7 +1,7 @@
-"""Rivals in the same table: stepwise regression with F-test or BIC, and the lasso.
+"""The baselines: stepwise regression with F-test or BIC, and the lasso.
 
-All choose among the catalogue's regressors on the naive residual and take noise as white and
-the points as independent (Klein and Morelli 2006, ch. 5; Tibshirani 1996).
+All choose among the catalogue's regressors for the naive residual and assume white noise and
+independent points (Klein and Morelli 2006, ch. 5; Tibshirani 1996).
 """
 
 from typing import Any, Final
@@ -14,15 +14,15 @@ from ahrs_service.blind.making.naming import report
 from ahrs_service.records import Floats
 
 ALARM: Final = 0.02
-"""Share of null recordings that may alarm: Bonferroni divides it by the number of effects."""
+"""Share of nulls that may raise an alarm: divided by the number of effects (Bonferroni)."""
 
-_MOST: Final = 8  # A choice: a bound; no recording of a set hides more than two effects
+_MOST: Final = 8  # A choice: limit on effects; no recording of a set hides more than two
 _LAMBDAS: Final = 30  # A choice: penalties over three decades, a step of 27 % (1000^(1/29))
-_SWEEPS: Final = 200  # A choice: a bound on the lasso's descents
+_SWEEPS: Final = 200  # A choice: limit on sweeps of the lasso's coordinate descent
 
 
 class _Moments:
-    """Inner products of residual and regressors: all that the choices need."""
+    """Inner products of residual and regressors: all that the selection needs."""
 
     def __init__(self, regression: Regression) -> None:
         self.names = list(regression.blocks)
@@ -40,7 +40,7 @@ class _Moments:
         }
 
     def rest(self, chosen: list[str]) -> float:
-        """Return the residual's energy that the chosen effects leave."""
+        """Return the residual's energy with the chosen effects fitted."""
         if not chosen:
             return self.energy
         at = np.concatenate([self.places[name] for name in chosen])
@@ -53,7 +53,7 @@ class _Moments:
 
 
 def stepwise_f(regression: Regression) -> dict[str, Any]:
-    """Add the effect of the smallest p-value while it is under `ALARM` / number of effects."""
+    """Add the effect of the smallest p-value while it is below `ALARM` / number of effects."""
     moments = _Moments(regression)
     chosen: list[str] = []
     while len(chosen) < _MOST:
@@ -75,7 +75,7 @@ def stepwise_f(regression: Regression) -> dict[str, Any]:
 
 
 def stepwise_bic(regression: Regression) -> dict[str, Any]:
-    """Add the effect that lowers n ln(RSS / n) + p ln n most, while one does."""
+    """Add the effect that lowers n ln(RSS / n) + p ln n most, as long as one does."""
     moments = _Moments(regression)
     chosen: list[str] = []
 
@@ -93,7 +93,7 @@ def stepwise_bic(regression: Regression) -> dict[str, Any]:
 
 
 def lasso(regression: Regression) -> dict[str, Any]:
-    """Coordinate descent along falling penalties; the fit of the smallest BIC counts."""
+    """Coordinate descent for decreasing penalties; the fit with the smallest BIC is used."""
     moments = _Moments(regression)
     weights = np.zeros(len(moments.inner))
     largest = float(np.abs(moments.inner).max())

@@ -1,4 +1,4 @@
-"""How much of what was hidden a report's model has, put beside the oracle."""
+"""The gain of a report's model on new data, relative to the oracle's."""
 
 from typing import Any
 
@@ -13,9 +13,9 @@ from ahrs_service.effects.catalogue import EFFECTS
 
 
 def gain_share(case: Case, report: dict[str, Any]) -> float:
-    """Return the gain that the report's effects have on new data of the same kind.
+    """Return the gain of the report's effects on new data of the same kind.
 
-    As a share of the oracle's: 1 for the truth, 0 for no effect named, below 0 for harm.
+    As a share of the oracle's: 1 for the truth, 0 for no effect, negative where it does harm.
     """
     return share_of_gain(modelled(case, report), case.hidden, case.law, case.scene.rate_hz)
 

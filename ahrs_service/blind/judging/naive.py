@@ -1,7 +1,7 @@
-"""The naive residual and the catalogue's regressors: what the baselines choose from.
+"""The naive residual and the catalogue's regressors, for the baselines.
 
-The reference is differentiated report by report and taken as true; the noise as white. This is
-the obvious way, kept to show what it costs.
+The reference is differentiated sample by sample and assumed exact, the noise white. This is the
+obvious method, kept to show what it costs.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from ahrs_service.effects.catalogue import EFFECTS
 from ahrs_service.records import Floats
 
 BLOCK: Final = 5
-"""Reports of the reference per point of the residual: 10 Hz of a reference at 50 Hz."""
+"""Reference samples per point of the residual: 10 Hz for a reference at 50 Hz."""
 
 _CHANNELS: Final = 6  # Three gyros and three accelerometers
 
@@ -54,17 +54,17 @@ def regression(recorded: Recorded) -> Regression:
 
 
 def _columns(recorded: Recorded) -> tuple[Columns, Floats, Floats]:
-    """Return the columns of the reference's intervals, and what the sensors read there."""
+    """Return the columns of the reference's intervals, and the mean sensor readings there."""
     ends = recorded.attitude.time_s
     ends = ends[(ends >= recorded.imu_time_s[0]) & (ends <= recorded.imu_time_s[-1])]
     ends = ends[: (len(ends) - 1) // BLOCK * BLOCK + 1]
     at = np.searchsorted(recorded.attitude.time_s, ends)
-    turn = Rotation.from_quat(recorded.attitude.values[at], scalar_first=True)
+    attitude = Rotation.from_quat(recorded.attitude.values[at], scalar_first=True)
     step = np.diff(ends)[:, None]
-    rate = (turn[:-1].inv() * turn[1:]).as_rotvec() / step
+    rate = (attitude[:-1].inv() * attitude[1:]).as_rotvec() / step
     velocity = np.stack([_interp(ends, recorded, n) for n in range(3)], axis=1)
     pull = np.diff(velocity, axis=0) / step - np.array([0.0, 0.0, STANDARD_GRAVITY_M_S2])
-    middle = turn[:-1] * Rotation.from_rotvec(0.5 * rate * step)
+    middle = attitude[:-1] * Rotation.from_rotvec(0.5 * rate * step)
     time_s = 0.5 * (ends[1:] + ends[:-1])
     temperature = recorded.temperature_degc.at(time_s)
     vibration = [recorded.vibration_m_s2.values[:, n] for n in range(3)]
@@ -97,13 +97,13 @@ def _interp(time_s: Floats, recorded: Recorded, axis: int) -> Floats:
 
 
 def _smooth(values: Floats, reach: int = 101) -> Floats:
-    """Mean over `reach` points: reported temperatures come in steps of 0.01 degC."""
+    """Mean over `reach` points: reported temperatures have a resolution of 0.01 degC."""
     padded = np.pad(values, reach // 2, mode="edge")
     return np.convolve(padded, np.full(reach, 1.0 / reach), mode="valid")
 
 
 def _means(time_s: Floats, values: Floats, ends: Floats) -> Floats:
-    """Mean [K, 3] of samples taken as lines, over the intervals between `ends` [K + 1]."""
+    """Mean [K, 3] of linearly interpolated samples over the intervals between `ends` [K + 1]."""
     steps = 0.5 * np.diff(time_s)[:, None] * (values[1:] + values[:-1])
     area = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(steps, axis=0)])
     at = np.stack([np.interp(ends, time_s, area[:, n]) for n in range(values.shape[1])], axis=1)
@@ -117,10 +117,10 @@ def _points(gyro: Floats, accel: Floats) -> Floats:
 
 
 def _probes(effect: Effect) -> list[tuple[dict[str, Floats], float]]:
-    """Parameters at which the effect's response is a regressor, with the step that made it.
+    """Parameters at which the effect's response is a regressor, with the step used.
 
-    One for every linear number, its nonlinear parameters in the middle of their grids; effects
-    without linear numbers give one for every third value of their grid.
+    One for every linear parameter, with nonlinear parameters in the middle of their grids; effects
+    without linear parameters give one for every third value of their grid.
     """
     base = effect.neutral()
     for p in effect.parameters:
@@ -142,7 +142,7 @@ def _probes(effect: Effect) -> list[tuple[dict[str, Floats], float]]:
 
 def _regressor(columns: Columns, effect: Effect, values: Values, step: float) -> Floats:
     if effect.is_limit:
-        # Its grid is of shares of the largest reading.
+        # The grid is given as shares of the largest reading.
         name = effect.limited_by
         values = {name: values[name] * np.abs(effect.ideal(columns)).max()}
     added: Addition = effect.add(columns, values)

@@ -1,6 +1,6 @@
-"""What the reports of a blind set are worth: judged case by case, then counted.
+"""Scores of the reports of a blind set: judged case by case, then counted.
 
-Truth as in the cases' files, report as ahrs-mismatch/1. A `known` effect of the truth lies above
+Truth in the format of truth files, report as ahrs-mismatch/1. A `known` effect of the truth masks
 a concealed one: naming it is neither right nor wrong. What an effect `implies` is not wrong either.
 """
 
@@ -24,10 +24,10 @@ LIKE_WORDS: Final = {
     "airspeed": {"airspeed", "speed", "groundspeed"},
     "voltage": {"voltage", "supply", "supply_voltage", "battery_voltage"},
 }
-"""Words of a report that mean the same covariate."""
+"""Terms of a report that mean the same covariate."""
 
 _CONVENTIONS: Final = {"reference_degC", "width_degC", "order"}
-"""Parameters that are conventions, or of another form than the one fitted: no interval counts."""
+"""Parameters without an interval to score: conventions, or of another form than the one fitted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,13 +39,13 @@ class Rate:
 
     @classmethod
     def of(cls, marks: Iterable[bool | None]) -> "Rate":
-        """Count what is true among the marks that are not None."""
+        """Count the true marks among those that are not None."""
         judged = [mark for mark in marks if mark is not None]
         return cls(sum(judged), len(judged))
 
     @property
     def share(self) -> float:
-        """Hits over total, NaN of nothing."""
+        """Hits over total, NaN if the total is 0."""
         return self.hits / self.total if self.total else math.nan
 
     def interval(self) -> tuple[float, float]:
@@ -64,12 +64,12 @@ class Rate:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """One report judged; None where the question does not arise.
+    """The marks of one report; None where a mark does not apply.
 
     `what` is null, control, single, concealed, pair, alike or outside; `alarm` any finding on one
     of the first two; `first` the first name (or its class) is right, `found` how many of `hidden`
-    were named; `extra` a name that is wrong; `classed` a class was given that holds the effect;
-    `covariate` what the unknown effect depends on was given; `covered` of `intervals` hold the
+    were named; `extra` a wrong name; `classed` a class was given that contains the effect;
+    `covariate` the covariate of the unknown effect was given; `covered` of `intervals` contain the
     truth; `worse` a held-out gain below zero; `gain` the share of the oracle's on new data.
     """
 
@@ -137,7 +137,7 @@ def judge(name: str, truth: Json, report: Json) -> Mark:
 
 
 def names(finding: Json) -> set[str]:
-    """Return the ids that a finding stands for: its own and its class."""
+    """Return the ids that a finding covers: its own and its class."""
     return {finding["effect"], *(finding.get("class") or ())}
 
 
@@ -159,7 +159,7 @@ def _note(truth: Json) -> str:
 
 
 def _only(finding: Json, granted: set[str], ids: tuple[str, ...]) -> bool:
-    """Whether a finding is of a known or implied effect and of nothing that is asked for."""
+    """Whether a finding is of a known or implied effect and of none that is hidden."""
     return bool(names(finding) & granted) and not names(finding) & set(ids)
 
 
@@ -172,7 +172,7 @@ def _gain(finding: Json) -> float:
 
 
 def _gives_covariate(truth: Json, unexplained: list[Json]) -> bool:
-    """Whether a word of the covariate was given; on a table the force is gravity: attitude."""
+    """Whether the covariate was named; on a table the force is gravity, so attitude counts too."""
     depends_on = truth["effects"][0]["params"]["depends_on"]
     words = LIKE_WORDS.get(depends_on, {depends_on})
     if depends_on == "acceleration" and truth["kind"] == "bench":
@@ -181,7 +181,7 @@ def _gives_covariate(truth: Json, unexplained: list[Json]) -> bool:
 
 
 def _coverage(hidden: list[Json], findings: list[Json]) -> tuple[int, int]:
-    """Count the 95 % intervals of rightly named effects, and those that hold the truth."""
+    """Count the 95 % intervals of correctly named effects, and those that contain the truth."""
     covered = total = 0
     for entry in hidden:
         for finding in findings:
@@ -192,7 +192,7 @@ def _coverage(hidden: list[Json], findings: list[Json]) -> tuple[int, int]:
 
 
 def _holds(truth: Json, estimates: Json) -> Any:
-    """Return per number of the parameters [K] whether value +- 1.96 std holds the truth."""
+    """Return, per parameter value [K], whether value +- 1.96 std contains the truth."""
     reach = NormalDist().inv_cdf(0.5 + 0.5 * CONFIDENCE)
     hits = [np.zeros(0, bool)]
     for name, value in _at_reference(truth, estimates).items():
@@ -202,7 +202,7 @@ def _holds(truth: Json, estimates: Json) -> Any:
             np.ravel(np.asarray(v, np.float64))
             for v in (value, estimates[name]["value"], estimates[name]["std"])
         )
-        # An off-diagonal's diagonal is zero on both sides, and no estimate.
+        # The diagonal of an off-diagonal matrix is zero in both, and is no estimate.
         free = ~((true == 0.0) & (found == 0.0))
         hits.append((np.abs(found - true) <= reach * std)[free])
     return np.concatenate(hits)
@@ -222,7 +222,7 @@ def _at_reference(truth: Json, estimates: Json) -> Json:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One line of the score: what is counted, how often, and what the project asks for."""
+    """One line of the score: what is counted, how often, and the required share."""
 
     title: str
     rate: Rate

@@ -1,1 +1,1 @@
-"""Making of sealed recordings: physics of its own, hidden in motion of its own."""
+"""Making of blind recordings: independently coded physics hidden in simulated motion."""

@@ -1,4 +1,4 @@
-"""One sealed case: what is asked for, what was made, and its truth as the cases' files have it."""
+"""One blind case: the request, the recording made, and its truth in the format of truth files."""
 
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Final
@@ -27,7 +27,7 @@ from ahrs_service.blind.making.vehicles import fixed_wing, multirotor
 from ahrs_service.records import Floats
 
 RATES_HZ: Final = {"bench": 100, "flight": 200, "copter": 200}
-"""A choice [Hz]: in flight the shaking (50 to 90 Hz) stays below Nyquist's; a table has none."""
+"""A choice [Hz]: in flight the vibration (50 to 90 Hz) is below Nyquist; a table has none."""
 NULLS: Final = (
     "plain",
     "reference glitches",
@@ -36,20 +36,20 @@ NULLS: Final = (
     "strong vibration",
     "strong wander",
 )
-"""Recordings without any effect: the plain one and what could pass for one."""
+"""Recordings without any effect: a plain one, and ones that could be mistaken for an effect."""
 
 CONTROLS: Final = ("another flight", "time reversed", "temperature flipped")
-"""What the covariates of a negative control are: they tell nothing of the sensor any more."""
+"""Covariates of a negative control: unrelated to the sensor."""
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
     """What to make: effect ids to hide (of `OUTSIDE` as `outside:airspeed`), level, seed.
 
-    `level` 1..3 sets the oracle's gain of each effect, 0 leaves a data sheet's magnitude; `known`
+    `level` 1..3 sets the oracle's gain for each effect, 0 leaves a data sheet's magnitude; `known`
     is one more effect, ten times larger than the first; `null` is one of `NULLS`; `alike` says
-    that the recording cannot tell the effect from others: a class is the right answer; `control`
-    is one of `CONTROLS`.
+    that the recording cannot separate the effect from others: a class is the right answer;
+    `control` is one of `CONTROLS`.
     """
 
     name: str
@@ -66,10 +66,10 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A finished case: readings [N, 3], scene, noise law and truth.
+    """A finished case: readings [N, 3], scene, noise and truth.
 
-    `hidden` is the shape of all effects together as the oracle counts it; `reported` the
-    surroundings as the messages tell them.
+    `hidden` is the shape of all effects together for the oracle; `reported` the environment as
+    the messages report it.
     """
 
     request: Request
@@ -83,7 +83,7 @@ class Case:
 
 
 def make(request: Request) -> Case:
-    """Make the case; one seed gives the same case byte for byte.
+    """Make the case; the same seed gives the same case byte for byte.
 
     Raises:
         ValueError: an effect is not known, or no size of it gives the level here.
@@ -125,7 +125,7 @@ def _truth(request: Request, parts: list[Part]) -> dict[str, Any]:
 
 
 def request_of(truth: dict[str, Any]) -> Request | None:
-    """Return the request that made a truth; None of one that was not made here."""
+    """Return the request that made a truth; None if it was not made here."""
     if "request" not in truth:
         return None
     return Request(**truth["request"] | {"effects": tuple(truth["request"]["effects"])})
@@ -158,7 +158,7 @@ def _scene(rng: np.random.Generator, request: Request) -> Scene:
 
 
 def _reported(scene: Scene, request: Request) -> Surroundings:
-    """Return the surroundings that the messages tell: the true ones but in a control."""
+    """Return the environment that the messages report: the true one except in a control."""
     around = scene.around
     if request.control == "another flight":
         other = np.random.default_rng((request.seed, 2))
@@ -173,7 +173,7 @@ def _reported(scene: Scene, request: Request) -> Surroundings:
 
 
 def _wandering(law: NoiseLaw) -> NoiseLaw:
-    """The same unit with a wander above all that is drawn otherwise."""
+    """The same unit with a larger wander than `draw_law` gives."""
     gyro, accel = Wander(4e-4, law.gyro_wander.time_s), Wander(6e-3, law.accel_wander.time_s)
     return replace(law, gyro_wander=gyro, accel_wander=accel)
 

@@ -1,4 +1,4 @@
-"""Which effects can be hidden, and in which kind of recording each shows itself."""
+"""Which effects can be hidden, and which kinds of recording excite each."""
 
 from typing import Final
 

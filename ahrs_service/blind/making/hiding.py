@@ -1,4 +1,4 @@
-"""Drawing an effect, scaling it to its level and writing its truth."""
+"""Draws an effect, scales it to its level and writes its truth."""
 
 import math
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from ahrs_service.blind.making.physics import Draw, Hidden, Scene, Signals
 from ahrs_service.blind.making.recording_noise import NoiseLaw
 
 KNOWN_TIMES: Final = 10.0
-"""A known effect is this many times larger (rms) than the one concealed beneath it."""
+"""A known effect is this many times larger (rms) than the one concealed below it."""
 
 _PLAIN_SIZES: Final = (0.5, 3.0)
 """Level 0, in data sheet magnitudes: the shared cases have arms of 0.16 m, 1.3e-3 rad/s per K."""
@@ -23,10 +23,10 @@ _OUTSIDE_PREFIX: Final = "outside:"
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One hidden effect: `shape` as the oracle counts it, `added` to the readings, truth.
+    """One hidden effect: `shape` for the oracle, `added` to the readings, and the truth `entry`.
 
-    A filter also filters vibration, which the oracle does not count. A clip is applied to the
-    finished reading of one sensor, noise included: `limit` and `clipped`; `added` is nothing.
+    A filter also filters vibration, which the oracle ignores. Clipping is applied to the final
+    reading of one sensor, noise included: `limit` and `clipped`; `added` is zero then.
     """
 
     shape: Signals
@@ -39,7 +39,7 @@ class Part:
 def hide(rng: np.random.Generator, name: str, scene: Scene, law: NoiseLaw, level: int) -> Part:
     """Draw an effect and scale it to a level; level 0 leaves it about a data sheet's magnitude.
 
-    But an effect that a recording hardly excites is given level 2's gain at least.
+    An effect that a recording hardly excites is scaled up to the gain of level 2.
 
     Raises:
         ValueError: no such effect, or no size of it gives the level here.
@@ -57,7 +57,7 @@ def hide(rng: np.random.Generator, name: str, scene: Scene, law: NoiseLaw, level
 def hide_above(
     rng: np.random.Generator, name: str, scene: Scene, law: NoiseLaw, deep: Part
 ) -> Part:
-    """Draw a known effect of the same sensor, `KNOWN_TIMES` as large as `deep` about its mean."""
+    """Draw a known effect of the same sensor, `KNOWN_TIMES` as large as `deep` (std)."""
     hidden = _draw(rng, name, scene)
     size = KNOWN_TIMES * _spread(deep.shape) / _spread(hidden.signals(scene, 1.0))
     part = _part(hidden, size, scene, scene, law)
@@ -65,14 +65,14 @@ def hide_above(
 
 
 def level_near(nats: float) -> int:
-    """Return the level that a gain is near to, 0 above twice level 1's."""
+    """Return the level nearest to a gain; 0 above twice that of level 1."""
     if nats > 2.0 * LEVEL_NATS[1]:
         return 0
     return min(LEVEL_NATS, key=lambda n: abs(math.log(max(nats, 1e-9) / LEVEL_NATS[n])))
 
 
 def silence(count: int) -> Signals:
-    """Return signals of nothing."""
+    """Return zero signals."""
     return np.zeros((count, 3)), np.zeros((count, 3))
 
 
@@ -113,5 +113,5 @@ def _part(hidden: Hidden, size: float, scene: Scene, quiet: Scene, law: NoiseLaw
 
 
 def _spread(signals: Signals) -> float:
-    """Root of the summed variance of the one sensor that the effect acts on."""
+    """Root of the summed variance of the one sensor that the effect changes."""
     return max(float(np.sqrt(values.var(axis=0).sum())) for values in signals)

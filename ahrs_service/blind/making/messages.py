@@ -16,12 +16,12 @@ BOOT_US: Final = int(POWER_ON_S * 1e6)
 """Time since boot of the first sample [us]."""
 
 _REFERENCE_HZ: Final = 50
-"""A choice: how often a good reference is sent [Hz]; noise.py counts on the same."""
+"""A choice: rate of a good reference [Hz]; noise.py assumes the same."""
 _HIGHRES_FIELDS: Final = 0b1000000111111
 """HIGHRES_IMU.fields_updated: accelerations, rates, temperature."""
 _PLANE, _COPTER, _ARDUPILOT, _ACTIVE = 1, 2, 3, 4
 _REPORT_SPREAD: Final = 0.04
-"""Spread of a VIBRATION report about the true level."""
+"""Relative sigma of a VIBRATION message about the true level."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class Table:
 
 
 def tables(case: Case) -> list[Table]:
-    """Return the messages of a case, a table each, in the order of their sending."""
+    """Return the messages of a case, one table per name, in the order of sending."""
     rng = np.random.default_rng((case.request.seed, 1))
     return [
         _highres(case),
@@ -44,7 +44,7 @@ def tables(case: Case) -> list[Table]:
 
 
 def _times_us(case: Case, rate_hz: int) -> tuple[Integers, slice]:
-    """Stamps of a message at a rate, and the sensor's samples at those instants."""
+    """Timestamps of a message at a rate, and the slice of sensor samples at those instants."""
     step = case.truth["imu_rate_hz"] // rate_hz if rate_hz else 1
     every = slice(None, None, step)
     stamps = BOOT_US + np.round(case.scene.time_s[every] * 1e6).astype(np.int64)
@@ -83,7 +83,7 @@ def _reference(case: Case, rng: np.random.Generator) -> list[Table]:
     wrong = np.concatenate([np.sqrt(1.0 - np.sum(half**2, axis=1, keepdims=True)), half], axis=1)
     attitude = multiply_columns(motion.ned_from_body[every], wrong)
     place = np.cumsum(velocity, axis=0) * step
-    # In flight the autopilot's rates are this same gyro's, less its start-up bias.
+    # In flight the autopilot's rates come from this same gyro, less its turn-on bias.
     own_every = _times_us(case, _REFERENCE_HZ)[1]
     own = case.gyro_rad_s[own_every] - case.law.gyro_bias
     rate = motion.rate_rad_s[every] if is_bench else own
@@ -109,7 +109,7 @@ def _reference(case: Case, rng: np.random.Generator) -> list[Table]:
 
 
 def _glitch(rng: np.random.Generator, tilt_rad: Floats, velocity_m_s: Floats) -> None:
-    """Put the reference off by some 2 deg and 0.8 m/s three to five times, for about a second."""
+    """Offset the reference by some 2 deg and 0.8 m/s three to five times, for about a second."""
     for _ in range(rng.integers(3, 6)):
         start = rng.integers(len(tilt_rad) // 10, len(tilt_rad) - 200)
         here = slice(start, start + rng.integers(20, 100))
@@ -185,5 +185,5 @@ def _slow(case: Case, rng: np.random.Generator) -> list[Table]:
 
 
 def _whole(values: Floats) -> Integers:
-    """Cut to integers, toward zero, as the autopilot's casts do."""
+    """Truncate to integers, toward zero, as the autopilot's casts do."""
     return np.trunc(values).astype(np.int64)

@@ -1,8 +1,8 @@
 """True motion of a blind recording, exact at any instant.
 
-Two kinds of curves: a table that turns about one body axis at a time in closed form, and
-vehicles whose attitude and velocity are quintic splines. Both can be asked for any time, so a
-late sample is the motion at another instant, not an interpolation.
+Two kinds: a table that turns about one body axis at a time in closed form, and vehicles whose
+attitude and velocity are quintic splines. Both can be evaluated at any time: a late sample is
+the motion at another instant, not an interpolation.
 """
 
 from collections.abc import Callable
@@ -41,7 +41,7 @@ class Motion:
 
 
 class Path(Protocol):
-    """A motion that can be asked for any time."""
+    """A motion that can be evaluated at any time."""
 
     def at(self, time_s: Floats) -> Motion:
         """Return the motion at times [N] since the start [s]."""
@@ -50,7 +50,7 @@ class Path(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """One turn of the table: `angle` of the time since `start_s` [s], about `axis` [3] (body)."""
+    """One turn of the table: `angle` by the time since `start_s` [s], about body `axis` [3]."""
 
     start_s: float
     seconds: float
@@ -82,10 +82,10 @@ class TablePath:
 
 
 def _about(held: Floats, axis: Floats, angle: Floats) -> Floats:
-    """Attitude [N, 4] `held` [4] and turned on about the body axis by angles [N] [rad]."""
+    """Attitude [N, 4] `held` [4], rotated about the body axis by angles [N] [rad]."""
     half = 0.5 * angle[:, None]
-    turned = np.concatenate([np.cos(half), np.sin(half) * axis], axis=1)
-    return multiply_columns(np.broadcast_to(held, turned.shape), turned)
+    rotation = np.concatenate([np.cos(half), np.sin(half) * axis], axis=1)
+    return multiply_columns(np.broadcast_to(held, rotation.shape), rotation)
 
 
 def _step(x: Floats) -> tuple[Floats, Floats]:
@@ -120,7 +120,7 @@ def _swing(
 
 
 def table_path(rng: np.random.Generator, seconds: float) -> TablePath:
-    """Draw rests of 2..10 s, quarter and half turns, and swings of up to 2.3 rad/s."""
+    """Draw rests of 2..10 s, turns of 45 to 180 deg, and oscillations of up to 2.3 rad/s."""
     turns: list[Turn] = []
     start = rng.uniform(4.0, 8.0)
     tilt = rng.normal(0.0, 0.02, 3)
@@ -179,7 +179,7 @@ class VehiclePath:
 
 
 PAD_S: Final = 1.0
-"""The splines reach beyond both ends of the recording by this [s]: late samples need them."""
+"""The splines extend beyond both ends of the recording by this [s], for late samples."""
 
 
 def knots(seconds: float) -> Floats:
@@ -188,7 +188,7 @@ def knots(seconds: float) -> Floats:
 
 
 def smooth(values: Floats, seconds: float) -> Floats:
-    """Commands at the knots [K], rounded over `seconds` [s]."""
+    """Commands at the knots [K], smoothed over `seconds` [s]."""
     rounded: Floats = gaussian_filter1d(values, seconds / KNOT_S, axis=0, mode="nearest")
     return rounded
 

@@ -1,4 +1,4 @@
-"""Hidden effects of motion: scale, axes, timing, filters, arms."""
+"""Hidden effects of motion: scale, axes, timing, filters, lever arms."""
 
 from typing import Any, Final
 
@@ -13,7 +13,7 @@ EARTH_RATE_RAD_S: Final = 7.292115e-5
 """Rotation of the Earth against the stars (IERS conventions 2010, table 1.2) [rad/s]."""
 
 _ARM_STEP_S: Final = 1e-3
-"""Step of the second difference [s]: its error is (turn * step)^2 / 12 of the signal."""
+"""Step of the second difference [s]: its relative error is (rate * step)^2 / 12."""
 
 
 def scale_factor(sensor: str) -> Draw:
@@ -64,25 +64,24 @@ def misalignment(sensor: str) -> Draw:
 
 
 def mounting_rotation(rng: np.random.Generator, kind: str, scene: Scene) -> Hidden:
-    """Both triads turned: the reading is R(v) u, exactly."""
-    turn = axes(rng, 0.008)
+    """Both triads rotated: the reading is exactly R(v) u."""
+    rotation = axes(rng, 0.008)
 
     def signals(scene: Scene, size: float) -> Signals:
-        half = 0.5 * size * turn
+        half = 0.5 * size * rotation
         angle = float(np.linalg.norm(half))
-        q = np.concatenate([[np.cos(angle)], np.sinc(angle / np.pi) * half])
-        turned = q[None]
+        q = np.concatenate([[np.cos(angle)], np.sinc(angle / np.pi) * half])[None]
         w, f = scene.motion.rate_rad_s, scene.motion.force_m_s2
-        return rotate_columns(turned, w) - w, rotate_columns(turned, f) - f
+        return rotate_columns(q, w) - w, rotate_columns(q, f) - f
 
     def params(size: float) -> dict[str, Any]:
-        return {"rotvec_rad": (size * turn).tolist(), "meaning": "reading = R(rotvec) u"}
+        return {"rotvec_rad": (size * rotation).tolist(), "meaning": "reading = R(rotvec) u"}
 
     return Hidden("imu_mounting_rotation", signals, params)
 
 
 def _resampled(scene: Scene, taken_s: Floats) -> Signals:
-    """What is added when the samples were taken at other times: the motion, asked again."""
+    """Return what is added by sampling at other times: the motion is evaluated there."""
     taken, stamped = scene.path.at(taken_s), scene.motion
     return (taken.rate_rad_s - stamped.rate_rad_s, taken.force_m_s2 - stamped.force_m_s2)
 
@@ -111,7 +110,7 @@ def clock_drift(rng: np.random.Generator, kind: str, scene: Scene) -> Hidden:
 
 
 def low_pass(sensor: str) -> Draw:
-    """Second-order Butterworth filter, discretised exactly for what is linear between samples."""
+    """Second-order Butterworth filter, discretised exactly for inputs linear between samples."""
 
     def draw(rng: np.random.Generator, kind: str, scene: Scene) -> Hidden:
         cutoff = float(np.exp(rng.uniform(np.log(8.0), np.log(60.0))))
@@ -181,7 +180,7 @@ def place_acceleration(scene: Scene, arm_m: Floats) -> Floats:
 
 
 def lever_arm(rng: np.random.Generator, kind: str, scene: Scene) -> Hidden:
-    """The accelerometer sits away from the reference point."""
+    """The accelerometer is not at the reference point."""
     arm = axes(rng, 0.06)
     return Hidden(
         "accel_lever_arm",
@@ -191,15 +190,15 @@ def lever_arm(rng: np.random.Generator, kind: str, scene: Scene) -> Hidden:
 
 
 def earth_rate(rng: np.random.Generator, kind: str, scene: Scene) -> Hidden:
-    """The gyro also turns with the Earth, which the reference's axes do."""
+    """The gyro also measures the Earth's rotation, with which the reference's axes rotate."""
     latitude = float(rng.uniform(-70.0, 70.0))
-    turn = EARTH_RATE_RAD_S * np.array(
+    rate = EARTH_RATE_RAD_S * np.array(
         [np.cos(np.radians(latitude)), 0.0, -np.sin(np.radians(latitude))]
     )
 
     def signals(scene: Scene, size: float) -> Signals:
         body = inverse_columns(scene.motion.ned_from_body)
-        return on("gyro", rotate_columns(body, np.broadcast_to(turn, (len(body), 3))))
+        return on("gyro", rotate_columns(body, np.broadcast_to(rate, (len(body), 3))))
 
     return Hidden(
         "gyro_earth_rate", signals, lambda size: {"latitude_deg": latitude}, is_fixed=True

@@ -1,4 +1,4 @@
-"""The least report: names alone, for rivals that give no more."""
+"""The minimal report: names only, for baselines that give no more."""
 
 from typing import Any
 

@@ -1,11 +1,12 @@
-"""What an oracle gains that knows an effect's exact shape and the noise law.
+"""The gain of an oracle that knows an effect's exact shape and the noise spectra.
 
 For Gaussian noise of density P the expected gain in log-likelihood is
 
     1/2 sum over axes, frequencies of |S(f)|^2 / P(f),
 
 with S the effect's spectrum by the discrete cosine transform, whose even continuation has no
-jump at the ends (a Fourier sum would count one). The turn-on bias is unknown: f = 0 is left out.
+jump at the ends (a Fourier transform would have one). The turn-on bias is unknown: f = 0 is
+excluded.
 """
 
 import math
@@ -23,8 +24,8 @@ LEVEL_NATS: Final = {1: 1000.0, 2: 150.0, 3: 30.0}
 """Gain of the oracle at the three depths of concealment [nats]."""
 
 _TOLERANCE: Final = 0.02
-"""A choice: depth of concealment to 2 %, the size to 1 % (gain goes as its square)."""
-_TRIALS: Final = 40  # A choice: a bound on the secant; the logarithms are nearly straight
+"""A choice: depth of concealment to 2 %, the size to 1 % (gain is proportional to its square)."""
+_TRIALS: Final = 40  # A choice: limit on secant steps; in logarithms the function is nearly linear
 
 
 def gain(signals: Signals, law: NoiseLaw, rate_hz: float) -> float:
@@ -49,8 +50,8 @@ def _information(values: Floats, psd: Floats, rate_hz: float) -> float:
 def scaled_to(hidden: Hidden, scene: Scene, law: NoiseLaw, nats: float) -> float:
     """Return the size at which the oracle gains `nats`.
 
-    Secant on the logarithms (gain is near to the square of the size), with the largest step
-    held to a factor of ten. Raises ValueError where no size gives it.
+    Secant method in logarithms (gain is nearly proportional to the square of the size), each step
+    at most a factor of ten. Raises ValueError where no size gives it.
     """
     size, slope = 1.0, 2.0
     previous: tuple[float, float] | None = None
@@ -84,10 +85,10 @@ def share_of_gain(found: Signals, hidden: Signals, law: NoiseLaw, rate_hz: float
 
 
 def oracle_report(truth: dict[str, Any], rng: np.random.Generator) -> dict[str, Any] | None:
-    """Return the oracle's report: its statistic is drawn from its exact law N(G, 2 G).
+    """Return the oracle's report: its statistic is drawn from its exact distribution N(G, 2 G).
 
     On a null it tests the catalogue's shapes at level 3, one after another. None where the truth
-    does not tell the oracle's gain.
+    does not contain the oracle's gain.
     """
     effects = [entry for entry in truth["effects"] if entry["effect"] != "none"]
     if any("oracle_nats" not in entry for entry in effects):

@@ -22,13 +22,13 @@ def _unknown(depends_on: str, sensor: str, law: str, signal: Callable[[Scene], F
 
 
 def airspeed(rng: np.random.Generator, kind: str, scene: Scene) -> Hidden:
-    """Air load on the case: k V^2 on the accelerometer."""
+    """Aerodynamic load on the case: k V^2 on the accelerometer."""
     k = axes(rng, 1e-3)
     return _unknown("airspeed", "accel", "k V^2", lambda s: k * s.around.airspeed_m_s[:, None] ** 2)
 
 
 def attitude(rng: np.random.Generator, kind: str, scene: Scene) -> Hidden:
-    """A field of the site bends the gyro: k sin(2 yaw + phase)."""
+    """A local field affects the gyro: k sin(2 yaw + phase)."""
     k, phase = axes(rng, 1e-3), float(rng.uniform(0.0, 2.0 * np.pi))
 
     def signal(s: Scene) -> Floats:
@@ -47,7 +47,7 @@ def supply(rng: np.random.Generator, kind: str, scene: Scene) -> Hidden:
 
 
 def axis_size(rng: np.random.Generator, kind: str, scene: Scene) -> Hidden:
-    """The accelerometer's three axes sit at three places."""
+    """The accelerometer's three axes are at three different positions (size effect)."""
     arms = rng.normal(0.0, 0.03, (3, 3))
 
     def signal(s: Scene) -> Floats:
@@ -58,7 +58,7 @@ def axis_size(rng: np.random.Generator, kind: str, scene: Scene) -> Hidden:
 
 
 def anisoelastic(rng: np.random.Generator, kind: str, scene: Scene) -> Hidden:
-    """The gyro's springs differ: its bias grows with the square of the specific force."""
+    """Anisoelastic gyro: its bias grows with the square of the specific force."""
     k = np.array([axes(rng, 2e-5) for _ in range(3)])
     return _unknown("acceleration", "gyro", "k f^2", lambda s: s.motion.force_m_s2**2 @ k.T)
 

@@ -1,10 +1,10 @@
-"""Physics to hide in a recording, in forms of their own: none of the fitting's code is here.
+"""Physics to hide in a recording, coded independently of the fitting.
 
-An effect is drawn (its direction and its nonlinear parameters), then asked what it adds to the
-readings at a size. At size 1 it is of a data sheet's magnitude; the oracle scales it.
-Alternatives to the fitting's forms: hysteresis is a Prandtl-Ishlinskii sum of play operators, lag
-an integrated differential equation, a late sample the motion at another instant, a lever arm the
-second difference of the sensor's place, a filter the exact discretisation of its equation.
+An effect is drawn (its direction and nonlinear parameters) and then evaluated at a size: what it
+adds to the readings. Size 1 is a data sheet's magnitude; the oracle scales it. The forms differ
+from the fitting's: hysteresis is a Prandtl-Ishlinskii sum of play operators, lag an integrated
+differential equation, a late sample the motion at another instant, a lever arm the second
+difference of the sensor's position, a filter the exact discretisation of its equation.
 """
 
 from collections.abc import Callable
@@ -18,12 +18,12 @@ from ahrs_service.blind.making.surroundings import Surroundings
 from ahrs_service.records import Floats
 
 Signals = tuple[Floats, Floats]
-"""What is added to gyro [N, 3] [rad/s] and accelerometer [N, 3] [m/s^2]."""
+"""Additions to gyro [N, 3] [rad/s] and accelerometer [N, 3] [m/s^2]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """All that an effect may depend on: `shake` is the vibration as it was drawn."""
+    """All that an effect may depend on; `shake` is the vibration that was drawn."""
 
     kind: str
     rate_hz: int
@@ -47,9 +47,9 @@ class Hidden:
     params: Callable[[float], dict[str, Any]]
     implies: tuple[str, ...] = ()
     is_fixed: bool = False
-    """Nature sets its size: it cannot be scaled."""
+    """Its size is given by nature: it cannot be scaled."""
     clipped: str | None = None
-    """The sensor ("gyro", "accel") whose finished reading is cut at the parameter `limit`."""
+    """The sensor ("gyro", "accel") whose final reading is clipped at the parameter `limit`."""
 
 
 Draw = Callable[[np.random.Generator, str, "Scene"], Hidden]
@@ -64,7 +64,7 @@ def axes(rng: np.random.Generator, nominal: float) -> Floats:
 
 
 def on(sensor: str, values: Floats) -> Signals:
-    """`values` [N, 3] added to the one sensor, nothing to the other."""
+    """`values` [N, 3] added to one sensor, zero to the other."""
     none = np.zeros_like(values)
     return (values, none) if sensor == "gyro" else (none, values)
 

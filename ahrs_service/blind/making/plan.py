@@ -1,4 +1,4 @@
-"""What a blind set is made of: kinds, levels and how many of each."""
+"""The composition of a blind set: kinds, levels and how many of each."""
 
 import math
 from typing import Any, Final
@@ -20,10 +20,10 @@ SHARES: Final = {
     "alike": 0.04,
     "outside": 0.10,
 }
-"""What a set is made of: at least 30 % hold nothing."""
+"""Composition of a set: at least 30 % have no effect."""
 
 _LEVELS: Final = (1, 2, 3, 0)
-"""Three depths set by the oracle's gain, and a data sheet's magnitude."""
+"""Three depths set by the oracle's gain, and (0) a data sheet's magnitude."""
 
 _PAIRS: Final = (
     ("bench", ("accel_thermal_bias", "gyro_scale_factor")),
@@ -56,7 +56,7 @@ _KNOWN: Final = {
 """The known effect above a concealed one, by kind of recording."""
 
 _NEVER_CONCEALED: Final = ("earth_rate", "saturation", "low_pass", "vibration_rectification")
-"""Sized by nature, or acting where the known effect acts most."""
+"""Of a fixed size, or largest where the known effect is largest."""
 
 Draft = tuple[str, dict[str, Any]]
 
@@ -64,7 +64,7 @@ Draft = tuple[str, dict[str, Any]]
 def plan(count: int, seed: int, seconds: int | None = None) -> list[Request]:
     """Return the requests of a set of `count` recordings, in a random order.
 
-    `seconds` [s] makes all of one length. Names tell nothing: case_001 and on.
+    `seconds` [s] gives all the same length. Names reveal nothing: case_001 and so on.
     """
     rng = np.random.default_rng(seed)
     drafts = [
@@ -79,7 +79,7 @@ def plan(count: int, seed: int, seconds: int | None = None) -> list[Request]:
 
 
 def controls(count: int, seed: int) -> list[Request]:
-    """Return `count` plain nulls whose covariates tell of something else, in turn."""
+    """Return `count` plain nulls with unrelated covariates, one kind of control after the other."""
     rng = np.random.default_rng((seed, 4))
     seeds = rng.integers(1, 2**31, count)
     kinds = tuple(SECONDS)
@@ -96,7 +96,7 @@ def controls(count: int, seed: int) -> list[Request]:
 
 
 def _shared_out(count: int) -> dict[str, int]:
-    """Share out `count` by largest remainder; nulls are rounded up."""
+    """Distribute `count` by largest remainder; nulls are rounded up."""
     exact = {what: share * count for what, share in SHARES.items()}
     numbers = {what: math.floor(value) for what, value in exact.items()}
     numbers["null"] = math.ceil(exact["null"])
@@ -120,7 +120,7 @@ def _nulls(rng: np.random.Generator, number: int) -> list[Draft]:
 
 
 def _singles(rng: np.random.Generator, number: int) -> list[Draft]:
-    """Every effect in turn, every level in turn, a kind that excites it."""
+    """All effects and levels in rotation, each in a kind of recording that excites it."""
     names = rng.permutation(list(HIDEABLE))
     shift = int(rng.integers(len(_LEVELS)))
     drafts = []
@@ -133,7 +133,7 @@ def _singles(rng: np.random.Generator, number: int) -> list[Draft]:
 
 
 def _concealed(rng: np.random.Generator, number: int) -> list[Draft]:
-    """An effect of level 3 beneath a known one, ten times larger, of the same sensor."""
+    """An effect of level 3 below a known one, ten times larger, of the same sensor."""
     drafts = []
     for n in range(number):
         kind = tuple(SECONDS)[n % 3]

@@ -1,4 +1,4 @@
-"""The noise of sensor and reference: the law that the oracle knows, and draws of it.
+"""The noise of sensor and reference: its spectra, known to the oracle, and random draws.
 
 Power spectral densities are one-sided [unit^2/Hz]. A wander (first-order Gauss-Markov process)
 of standard deviation s and correlation time T has 4 s^2 T / (1 + (2 pi f T)^2).
@@ -18,7 +18,7 @@ SHAKE_AXES: Final = np.array([0.8, 0.8, 1.4])
 GYRO_SHAKE_RAD_S: Final = 0.0145
 """Vibration of the gyro's axes for an amplitude of 1 m/s^2 [rad/s]."""
 
-_SHAKE_BAND_HZ: Final = (50.0, 90.0)  # A choice: once a turn of motors at 3000 to 5400 rpm [Hz]
+_SHAKE_BAND_HZ: Final = (50.0, 90.0)  # A choice: once per revolution at 3000 to 5400 rpm [Hz]
 _REFERENCE_HZ: Final = 50.0
 """As messages._REFERENCE_HZ [Hz]: white noise of a report is spread over half of it."""
 
@@ -40,13 +40,13 @@ class Wander:
 
     def psd(self, frequency_hz: Floats) -> Floats:
         """One-sided density at the frequencies [unit^2/Hz]."""
-        turn = 2.0 * np.pi * frequency_hz * self.time_s
-        return 4.0 * self.sigma**2 * self.time_s / (1.0 + turn**2)
+        ratio = 2.0 * np.pi * frequency_hz * self.time_s
+        return 4.0 * self.sigma**2 * self.time_s / (1.0 + ratio**2)
 
 
 @dataclass(frozen=True, slots=True)
 class ReferenceError:
-    """Error of attitude [rad] and velocity [m/s]: a wander, and white noise of each report."""
+    """Error of attitude [rad] and velocity [m/s]: a wander, and white noise per message."""
 
     attitude: Wander
     attitude_white_rad: float
@@ -55,12 +55,12 @@ class ReferenceError:
 
 
 ENCODER: Final = ReferenceError(Wander(0.0, 1.0), 3.5e-5, Wander(0.0, 1.0), 0.0)
-"""Two-axis table: encoder of 0.002 deg, and a place that does not move."""
+"""Two-axis table: encoder of 0.002 deg, and a fixed position."""
 
 INS: Final = ReferenceError(
     Wander(np.radians(0.04), 8.0), np.radians(0.005), Wander(0.03, 3.0), 0.005
 )
-"""Inertial navigation beside the vehicle: 0.04 deg over 8 s, 0.03 m/s over 3 s."""
+"""Inertial navigation system on the vehicle: 0.04 deg over 8 s, 0.03 m/s over 3 s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class NoiseLaw:
     """Root mean square of the vibration's amplitude over the recording."""
 
     def gyro_psd(self, frequency_hz: Floats) -> Floats:
-        """Density [K, 3] of what a gyro reads beyond the reference's rate."""
+        """Density [K, 3] of the gyro reading minus the reference's rate."""
         omega2 = (2.0 * np.pi * frequency_hz) ** 2
         psd = self.gyro_density**2 + self.gyro_wander.psd(frequency_hz)
         if self.reference is INS:
@@ -87,9 +87,9 @@ class NoiseLaw:
         return np.repeat((psd + shake)[:, None], 3, axis=1)
 
     def accel_psd(self, frequency_hz: Floats) -> Floats:
-        """Density [K, 3] of what an accelerometer reads beyond the reference's force.
+        """Density [K, 3] of the accelerometer reading minus the reference's specific force.
 
-        A tilt of the reference turns gravity into x and y.
+        A tilt of the reference projects gravity onto x and y.
         """
         omega2 = (2.0 * np.pi * frequency_hz) ** 2
         psd = self.accel_density**2 + self.accel_wander.psd(frequency_hz)
@@ -105,7 +105,7 @@ class NoiseLaw:
 
 
 def draw_law(rng: np.random.Generator, is_bench: bool, shake_m_s2: float) -> NoiseLaw:
-    """Draw a unit: an MPU-class sensor with its turn-on bias and a wander of unknown size."""
+    """Draw a unit: an MPU-class sensor with a turn-on bias and a wander of random size."""
     grade = rng.uniform(0.8, 1.25, 2)
     return NoiseLaw(
         1.05e-4 * grade[0],
@@ -145,7 +145,7 @@ def draw_shake(rng: np.random.Generator, amplitude_m_s2: Floats) -> tuple[Floats
 def following(
     rng: np.random.Generator, wander: Wander, shape: Floats, step_s: float, tries: int = 30
 ) -> Floats:
-    """Draw wander [N, 3] and keep of each axis the draw that follows `shape` [N] most."""
+    """Draw wander [N, 3] and keep, per axis, the draw that correlates most with `shape` [N]."""
     draws = np.stack([wander.draw(rng, len(shape), step_s) for _ in range(tries)])
     centred = draws - draws.mean(axis=1, keepdims=True)
     likeness = np.abs(np.einsum("dna,n->da", centred, shape - shape.mean()))

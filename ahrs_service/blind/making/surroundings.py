@@ -1,4 +1,4 @@
-"""What surrounds the sensor: temperatures, vibration, current, supply, air speed."""
+"""The sensor's environment: temperatures, vibration, current, supply, airspeed."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -15,7 +15,7 @@ LAPSE_K_M: Final = 0.0065
 POWER_ON_S: Final = 5.0
 """Time since power-on of the first sample [s]: the clock of every message."""
 
-_START_DEGC: Final = 20.0  # A choice: a room
+_START_DEGC: Final = 20.0  # A choice: room temperature
 _CHAMBER_AT: Final = (0.0, 0.05, 0.45, 0.55, 0.9, 1.0)
 """A choice: corners of cold, hot, cold as shares of the length, both slopes 40 and 35 %."""
 
@@ -25,7 +25,7 @@ class Surroundings:
     """Columns [N] at the sensor's samples.
 
     `imu_degc` the sensor's own temperature and its slope [degC/s], `baro_degc` that of the air at
-    the board; `vibration_m_s2` the amplitude A: the axes shake at 0.8, 0.8 and 1.4 A (rms).
+    the board; `vibration_m_s2` the amplitude A: 0.8, 0.8 and 1.4 A (rms) on the three axes.
     """
 
     imu_degc: Floats
@@ -39,7 +39,7 @@ class Surroundings:
 
 
 def chamber(rng: np.random.Generator, time_s: Floats, seconds: float) -> Surroundings:
-    """Draw a thermal chamber's programme: cold, hot, cold; the sensor follows by 30..60 s."""
+    """Draw a thermal chamber's profile: cold, hot, cold; the sensor lags by 30..60 s."""
     low, high = rng.uniform(-20.0, 0.0), rng.uniform(45.0, 65.0)
     corners = np.array(_CHAMBER_AT) * seconds
     air = np.interp(time_s, corners, (_START_DEGC, low, high, high, low, low))
@@ -51,10 +51,10 @@ def chamber(rng: np.random.Generator, time_s: Floats, seconds: float) -> Surroun
 def airborne(
     rng: np.random.Generator, time_s: Floats, altitude_m: Floats, flight: Flight, sags: bool
 ) -> Surroundings:
-    """Draw a flight's surroundings: the board warms itself, the motors shake and draw current.
+    """Draw a flight's environment: the board self-heats, the motors vibrate and draw current.
 
-    Vibration grows with throttle and has a resonance at some throttle; a payload switches on and
-    off, so that current is not throttle alone.
+    Vibration grows with throttle and has a resonance at one throttle. A payload switches on and
+    off: the current does not depend on throttle alone.
     """
     throttle = np.interp(time_s, flight.knots_s, flight.throttle)
     air = 22.0 - LAPSE_K_M * altitude_m
@@ -68,7 +68,7 @@ def airborne(
     current = 0.6 + 22.3 * throttle**1.8 + payload
     volts = np.full_like(time_s, 11.8)
     if sags:
-        # Another consumer of the supply, with times of its own, so that it is not current alone.
+        # Another load with its own on and off times: voltage does not depend on current alone.
         other = (time_s / rng.uniform(25.0, 50.0) + rng.random()) % 1.0 > rng.uniform(0.3, 0.7)
         volts -= 0.005 * (current - 0.6) + 0.25 * other + 2e-4 * time_s
     vibration = 0.05 + strength * 1.25 * shake

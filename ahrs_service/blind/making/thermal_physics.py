@@ -27,7 +27,7 @@ _PLAY_WEIGHTS: Final = (0.25, 0.35, 0.4)  # A choice: they sum to one
 
 
 def above(scene: Scene) -> Floats:
-    """Own temperature above the reference's [N, 1] [K]."""
+    """Sensor temperature minus the reference temperature [N, 1] [K]."""
     return (scene.around.imu_degc - REFERENCE_DEGC)[:, None]
 
 
@@ -79,8 +79,8 @@ def thermal_lag(sensor: str) -> Draw:
 
         def signals(scene: Scene, size: float) -> Signals:
             own, step = scene.around.imu_degc, scene.time_s[1] - scene.time_s[0]
-            acting = lag(own, step, tau, own[0])
-            return on(sensor, size * k * (acting - REFERENCE_DEGC)[:, None])
+            lagged = lag(own, step, tau, own[0])
+            return on(sensor, size * k * (lagged - REFERENCE_DEGC)[:, None])
 
         def params(size: float) -> dict[str, Any]:
             return {"time_constant_s": tau, "linear": (size * k).tolist()}
@@ -107,13 +107,13 @@ def thermal_rate(sensor: str) -> Draw:
 
 
 def play(values: Floats, half_width: float) -> Floats:
-    """Output [N] of a play operator: a pin in a slot of +-`half_width` that drags it along.
+    """Output [N] of a play operator (backlash): a pin that drags a slot of +-`half_width` along.
 
     Between two turning points of `values` the pin moves one way and the output is a running
-    extreme, held at what it was: so it is exact piece by piece.
+    extreme: the result is exact piece by piece.
     """
-    turns = np.flatnonzero(np.diff(np.sign(np.diff(values))) != 0) + 1
-    bounds = np.concatenate([[0], turns, [len(values) - 1]])
+    extremes = np.flatnonzero(np.diff(np.sign(np.diff(values))) != 0) + 1
+    bounds = np.concatenate([[0], extremes, [len(values) - 1]])
     dragged = np.empty_like(values)
     dragged[0] = held = values[0]
     for start, stop in itertools.pairwise(bounds):
@@ -183,7 +183,7 @@ def vibration_rectification(sensor: str) -> Draw:
 
 
 def current_coupling(sensor: str) -> Draw:
-    """K (I - I0), with I0 what the board draws alone."""
+    """K (I - I0), with I0 the current of the board alone."""
 
     def draw(rng: np.random.Generator, kind: str, scene: Scene) -> Hidden:
         return linear(

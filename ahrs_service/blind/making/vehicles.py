@@ -1,4 +1,4 @@
-"""Flights of a fixed wing and of a multirotor, drawn at random, with what they did to fly so."""
+"""Random flights of a fixed wing and of a multirotor, with their throttle and airspeed."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -15,7 +15,7 @@ _CLIMB_M_S: Final = 1.5  # A choice: the fastest climb or descent [m/s]
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """A path, with throttle [K] 0..1 and air speed [K] [m/s] at its knots [K] [s]."""
+    """A path, with throttle [K] 0..1 and airspeed [K] [m/s] at its knots [K] [s]."""
 
     path: VehiclePath
     knots_s: Floats
@@ -69,7 +69,7 @@ def fixed_wing(rng: np.random.Generator, seconds: float) -> Flight:
 
 
 def multirotor(rng: np.random.Generator, seconds: float) -> Flight:
-    """Draw a lively flight of a multirotor that never comes to rest after it rose."""
+    """Draw an agile flight of a multirotor that is never at rest after take-off."""
     times = knots(seconds)
     count = len(times)
     airborne = smooth((times > _REST_S + 2.0).astype(float), 0.6)

@@ -1,1 +1,1 @@
-"""What may have been left out: candidates, and models of the misfit with them."""
+"""What physics may be missing: candidates, and models of the misfit that contain them."""

@@ -1,4 +1,4 @@
-"""The responses that the search chooses from: catalogue effects, and smooth unknown ones."""
+"""The responses that the search chooses from: catalogue effects and smooth unknown dependences."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -15,12 +15,12 @@ from ahrs_service.records import Floats
 _REGIME_S: Final = 0.3
 """A choice: width [s] of a Gauss filter, which passes below 0.44 Hz (-3 dB), slow manoeuvres."""
 _LEAST_SPREAD: Final = 1e-6
-"""A choice: eight steps of float32 (1.2e-7), as messages carry it: less spread is rounding."""
+"""A choice: eight steps of float32 (1.2e-7), the type in messages: less spread is rounding."""
 _LIMITS: Final = (0.97, 1.0, 1.03)
 """Shares of the largest reading: 3 % is the scale tolerance in MPU-6000's data sheet."""
 _NEAR_LIMIT: Final = 0.85
-"""A choice: from this share of the largest slow reading on, vibration may have been cut."""
-_LEAST_TIES: Final = 5  # A choice: equal largest readings that make an end of range
+"""A choice: above this share of the largest slow reading, vibration may have been clipped."""
+_LEAST_TIES: Final = 5  # A choice: equal largest readings that indicate the end of range
 
 
 Entry = tuple[Parameter, tuple[int, ...]]
@@ -44,12 +44,11 @@ class Dependence:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One form of a hypothesis: its columns in the library, which enter by free coefficients.
+    """One form of a hypothesis: its columns in the library, which have free coefficients.
 
-    `triad` it acts on, `imu` being both. `effect` of the catalogue, or None for an unknown
-    dependence on `covariate`. `form` the values
-    of parameters that enter nonlinearly, `freedom` how many numbers are fitted; `is_whole` where
-    the response has no coefficient and is there in full or not at all.
+    `triad` that it affects, `imu` being both. `effect` of the catalogue, or None for an unknown
+    dependence on `covariate`. `form` the values of the nonlinear parameters, `freedom` the number
+    of fitted parameters; `is_whole` where the response has no coefficient and is added as it is.
     """
 
     name: str
@@ -68,15 +67,15 @@ class Candidate:
 
     @property
     def dependence(self) -> Dependence:
-        """The unknown dependence that it is a form of, where it is no effect of the catalogue."""
+        """The unknown dependence that it is a form of, where it has no `effect`."""
         return Dependence(self.triad, self.covariate)
 
 
 @dataclass(frozen=True, slots=True)
 class Smooth:
-    """An unknown dependence: a `basis` [N, M] of which the first `orders` columns are each a form.
+    """An unknown dependence: a `basis` [N, M]; its first n columns are a form for n in `orders`.
 
-    A form of fewer numbers needs less to be believed, and names what is simple.
+    A form with fewer parameters is significant at a lower gain.
     """
 
     covariate: str
@@ -89,7 +88,7 @@ class Smooth:
 class Library:
     """All candidates and their responses `rows` [N, 6, K].
 
-    `refused` why by effect; `implausible` the terms that were dropped for their size, with gain.
+    `refused` effects with the reason; `implausible` terms dropped for their size, with gain.
     """
 
     candidates: list[Candidate] = field(default_factory=list)
@@ -99,7 +98,7 @@ class Library:
 
 
 def linear_entries(effect: Effect) -> list[Entry]:
-    """Return the numbers of an effect that enter linearly, or nearly, as parameter and index."""
+    """Return the linear, or nearly linear, parameters of an effect, as parameter and index."""
     return [(p, index) for p in effect.parameters if p.step for index in p.entries()]
 
 
@@ -109,7 +108,7 @@ def unit_response(
     form: dict[str, float],
     entry: tuple[Parameter, tuple[int, ...]],
 ) -> Addition:
-    """Return the addition of an effect per unit of one of its numbers, near zero."""
+    """Return the addition of an effect per unit of one of its parameters, near zero."""
     parameter, index = entry
     values = effect.neutral()
     for name, value in form.items():
@@ -126,16 +125,16 @@ def unit_response(
 
 
 def sources(residual: Residual, effect: Effect) -> Columns:
-    """Return the motion that an effect acts on.
+    """Return the motion from which an effect is computed.
 
-    Where a limit may have cut the reading, close to the largest there is, only the reference knows
-    the motion; elsewhere its noise would be taken for what was cut off.
+    Near the largest reading, where saturation may have clipped it, the motion is the reference's;
+    elsewhere the reference's noise would be interpreted as clipped motion.
     """
     if not effect.is_limit:
         return residual.columns
-    if residual.witnessed is residual.columns:
+    if residual.reference_columns is residual.columns:
         return replace(residual.columns, scatter=residual.scatter)
-    read, seen = residual.columns, residual.witnessed
+    read, seen = residual.columns, residual.reference_columns
     near_rate = np.abs(read.rate_rad_s) > _NEAR_LIMIT * residual.largest[:3]
     near_force = np.abs(read.force_m_s2) > _NEAR_LIMIT * residual.largest[3:]
     return replace(
@@ -147,10 +146,10 @@ def sources(residual: Residual, effect: Effect) -> Columns:
 
 
 def limits(residual: Residual, effect: Effect) -> tuple[float, float]:
-    """Return the smallest and the largest limit that can have cut an effect's triad.
+    """Return the smallest and the largest possible saturation limit of an effect's triad.
 
-    Readings that end many times at the same value tell it; else it is no less than the largest
-    reading, vibration with it, give or take a scale error that was corrected behind it.
+    Many readings at the same largest value give the limit. Otherwise it is at least the largest
+    reading, vibration included, within the scale correction applied after saturation.
     """
     part = slice(0, 3) if effect.triad == "gyro" else slice(3, 6)
     axis = int(np.argmax(residual.ends[part]))
@@ -160,7 +159,7 @@ def limits(residual: Residual, effect: Effect) -> tuple[float, float]:
 
 
 def forms_of(residual: Residual, effect: Effect) -> list[dict[str, float]]:
-    """Return the forms of an effect to search over; a limit lies where the readings end."""
+    """Return the forms of an effect to search over; a limit is at the largest readings."""
     if not effect.is_limit:
         return effect.grid(residual.columns)
     part = slice(0, 3) if effect.triad == "gyro" else slice(3, 6)
@@ -172,10 +171,10 @@ def forms_of(residual: Residual, effect: Effect) -> list[dict[str, float]]:
 
 
 def missing_covariate(effect: Effect, columns: Columns) -> str | None:
-    """Return why an effect cannot be computed or shown here, None where it can."""
+    """Return why an effect cannot be computed or observed here, None where it can."""
     for name in effect.needs:
         if not columns.knows(name):
-            return f"the recording holds no {name}"
+            return f"the recording has no {name}"
         values = getattr(columns, name)
         if values.ndim == 1 and np.ptp(values) < _LEAST_SPREAD * (1.0 + np.abs(values).max()):
             return f"{name} does not change"
@@ -183,7 +182,7 @@ def missing_covariate(effect: Effect, columns: Columns) -> str | None:
 
 
 def responses(residual: Residual, effect: Effect, form: dict[str, float]) -> list[Floats]:
-    """Return the rows [N, 6] of an effect's linear numbers, or its whole response."""
+    """Return the rows [N, 6] of an effect's linear parameters, or its whole response."""
     columns = sources(residual, effect)
     entries = linear_entries(effect)
     if entries:
@@ -193,9 +192,9 @@ def responses(residual: Residual, effect: Effect, form: dict[str, float]) -> lis
 
 
 def library_of(residual: Residual, names: Sequence[str] | None = None) -> Library:
-    """Return the responses of all effects that this recording could show, and of unknown ones.
+    """Return the responses of all effects observable in this recording, and of unknown ones.
 
-    `names` of the effects to look for: all that are known if left out.
+    `names` of the effects to look for; by default the whole catalogue.
     """
     library, rows, used = Library(), [], 0
     for name in EFFECTS if names is None else names:
@@ -206,7 +205,7 @@ def library_of(residual: Residual, names: Sequence[str] | None = None) -> Librar
             continue
         has_coefficients, forms = bool(linear_entries(effect)), forms_of(residual, effect)
         if not forms:
-            library.refused[name] = f"the recording lacks what excites it: {effect.excited_by}"
+            library.refused[name] = f"the recording does not excite it: {effect.excited_by}"
         for form in forms:
             added = responses(residual, effect, form)
             freedom = len(form) + (len(added) if has_coefficients else 0)
@@ -244,9 +243,9 @@ def _on_axis(triad: str, axis: int, values: Floats) -> Addition:
 
 
 def regimes(columns: Columns) -> dict[str, Floats]:
-    """Return the covariates [N] that a misfit is held against, those that are known."""
+    """Return the recorded covariates [N] that a misfit is compared with."""
     step_s = (columns.time_s[-1] - columns.time_s[0]) / (len(columns.time_s) - 1)
-    # The size of a noisy reading goes with the noise itself, so it is taken of a slow one.
+    # The norm of a noisy reading correlates with its noise: use the slow reading.
     rate, force_m_s2 = (
         gaussian_filter1d(values, _REGIME_S / step_s, axis=0, mode="nearest")
         for values in (columns.rate_rad_s, columns.force_m_s2)
@@ -283,8 +282,8 @@ def regimes(columns: Columns) -> dict[str, Floats]:
 def unknown_forms(columns: Columns) -> list[Smooth]:
     """Return smooth forms of each covariate: polynomials, cubic splines, two harmonics of heading.
 
-    And of rate and specific force what is quadratic in their components, which no function of
-    their size or of attitude angles is: what is linear in them has names.
+    Also the products of components of rate and specific force, which are no function of their norm
+    or of attitude angles; linear dependences on them are effects of the catalogue.
     """
     forms = []
     for name, values in regimes(columns).items():
@@ -292,24 +291,24 @@ def unknown_forms(columns: Columns) -> list[Smooth]:
         if not high > low:
             continue
         if name == "heading":
-            turns = np.array([1.0, 2.0]) * values[:, None]
-            basis = np.stack([np.sin(turns), np.cos(turns)], axis=2).reshape(-1, 4)
+            angles = np.array([1.0, 2.0]) * values[:, None]
+            basis = np.stack([np.sin(angles), np.cos(angles)], axis=2).reshape(-1, 4)
             forms.append(Smooth(name, basis, (4,)))
         else:
             share = np.clip((values - low) / (high - low), 0.0, 1.0)
             forms.append(Smooth(name, spline_basis(share), (1, 2, 4)))
-    bent, turned = products(columns.force_m_s2), products(columns.rate_rad_s)
-    turning = np.hstack([turned, columns.angular_acceleration_rad_s2])
+    force, rate = products(columns.force_m_s2), products(columns.rate_rad_s)
+    rotation = np.hstack([rate, columns.angular_acceleration_rad_s2])
     return [
         *forms,
-        Smooth("acceleration", bent, (6,)),
-        Smooth("rate", turned, (6,), ("gyro",)),
-        Smooth("rate", turning, (9,), ("accel",)),
+        Smooth("acceleration", force, (6,)),
+        Smooth("rate", rate, (6,), ("gyro",)),
+        Smooth("rate", rotation, (9,), ("accel",)),
     ]
 
 
 def products(vector: Floats) -> Floats:
-    """Return the products of two components [N, 6] of a vector [N, 3], each over its largest."""
+    """Return the products of two components [N, 6] of a vector [N, 3], each scaled to 1."""
     first, second = np.triu_indices(3)
     terms = vector[:, first] * vector[:, second]
     return np.asarray(terms / np.maximum(np.abs(terms).max(axis=0), 1e-300))
@@ -323,6 +322,6 @@ def spline_basis(share: Floats) -> Floats:
     powers = np.vander(share, 4, increasing=True)
     bent = np.maximum(share - 0.5, 0.0) ** 3
     basis, triangle = np.linalg.qr(np.hstack([powers, bent[:, None]]))
-    # Of a covariate of few values there are fewer forms; the rest would be rounding.
+    # A covariate with few distinct values has fewer forms; the rest would be rounding.
     lives = np.abs(np.diag(triangle)) > _LEAST_SPREAD * np.sqrt(len(share))
     return np.asarray((basis * lives)[:, 1:] * np.sqrt(len(share)))

@@ -1,4 +1,4 @@
-"""A hypothesis put to the likelihood: a candidate of the library added to a model and fitted."""
+"""A hypothesis tested by likelihood: a candidate of the library added to a model and fitted."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -18,8 +18,8 @@ from ahrs_service.diagnosis.hypotheses.score_test import Gains, surprise
 from ahrs_service.diagnosis.input.misfit import Residual
 
 _NO_TIES: Final = 12.0
-"""Less surprise [nats] of a limit at which no readings end: it acts on the few largest alone, where
-the reference is worst."""
+"""Deduction [nats] from the surprise of a limit at which no readings saturate: it affects only the
+few largest, where the reference is worst."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class Step:
 
 
 def best_forms(library: Library, gains: Gains) -> list[tuple[Candidate, float]]:
-    """Return the best form of each hypothesis with its surprise, the most surprising first."""
+    """Return the best form of each hypothesis with its surprise, the largest first."""
     best: dict[str, tuple[Candidate, float]] = {}
     for candidate, value in zip(library.candidates, gains.surprise, strict=True):
         if candidate.name not in best or value > best[candidate.name][1]:
@@ -42,7 +42,7 @@ def best_forms(library: Library, gains: Gains) -> list[tuple[Candidate, float]]:
 
 
 def term_of(candidate: Candidate) -> Term:
-    """Return the term that a candidate begins with: its form, and zero numbers."""
+    """Return the initial term of a candidate: its form, with linear parameters at zero."""
     assert candidate.effect is not None
     values = candidate.effect.neutral()
     return Term(
@@ -53,7 +53,7 @@ def term_of(candidate: Candidate) -> Term:
 def extend(
     residual: Residual, library: Library, model: Model, candidate: Candidate, has_noise: bool
 ) -> Step:
-    """Return `model` with a candidate more, fitted; with the noise fitted again if `has_noise`."""
+    """Return `model` with one more candidate, fitted; the noise is refitted if `has_noise`."""
     terms, unknown, rows = model.terms, model.unknown, model.unknown_rows
     if candidate.effect is None:
         unknown = (*unknown, *candidate.freedom * (candidate.dependence,))
@@ -67,7 +67,7 @@ def extend(
 
 
 def step_between(residual: Residual, before: Model, candidate: Candidate, after: Model) -> Step:
-    """Return the step from one model to another that holds a candidate more."""
+    """Return the step from one model to another with one more candidate."""
     gain = gain_between(residual, before, after)
     value = surprise(gain, candidate.freedom)
     if candidate.effect is not None and candidate.effect.is_limit:
@@ -78,16 +78,16 @@ def step_between(residual: Residual, before: Model, candidate: Candidate, after:
 
 @lru_cache(maxsize=8)
 def without(residual: Residual, model: Model, place: int) -> Model:
-    """Return the model without one of its terms, numbers and noise fitted again.
+    """Return the model without one of its terms, parameters and noise refitted.
 
-    Pruning, confirming and judging ask for the same.
+    Cached: pruning, confirming and judging need the same models.
     """
     terms = model.terms[:place] + model.terms[place + 1 :]
     return refit(residual, settle(residual, terms, model.noise, model.unknown, model.unknown_rows))
 
 
 def without_unknown(residual: Residual, model: Model, *left_out: Dependence) -> Model:
-    """Return the model without unknown dependences, numbers and noise fitted again."""
+    """Return the model without unknown dependences, parameters and noise refitted."""
     kept = [n for n, one in enumerate(model.unknown) if one not in left_out]
     unknown = tuple(model.unknown[n] for n in kept)
     rows = model.unknown_rows[:, :, kept]

@@ -1,4 +1,4 @@
-"""The likelihood of a misfit: generalised least squares with a fitted noise."""
+"""The likelihood of a misfit: generalised least squares with fitted noise parameters."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -9,19 +9,19 @@ from ahrs_service.diagnosis.input.misfit import Noise, Residual
 from ahrs_service.records import Floats
 
 _RIDGE: Final = 1e-10
-"""A choice: added to a diagonal of ones: a million times rounding, never as much as information."""
-_NO_ENERGY: Final = 1e-200  # A choice: nothing but columns of zeros, or of underflow, is below it
+"""A choice: added to a diagonal of ones: a million times rounding, negligible as information."""
+_NO_ENERGY: Final = 1e-200  # A choice: only columns of zeros or underflow are below it
 _PROBE: Final = 1e-3
-"""A choice: step [log] of one-sided differences, whose error is half of it in proportion."""
+"""A choice: step [log] of one-sided differences, whose relative error is half of it."""
 _PRIOR_SIGMA: Final = 2.0
 """A choice: a first guess is right to a factor of e^2 = 7. Not flat: at 1 one of four blind
-recordings (see forward_search._CLOSE) loses a second name, a wrong one; above 2 not looked at."""
+recordings (see forward_search._CLOSE) loses a second name, a wrong one; above 2 not searched."""
 _SETTLED_NATS: Final = 0.02  # A choice: a last step worth 1/400 of ALARM
 _LONGEST_STEP: Final = 1.5
-"""A choice: a noise changes by a factor of 4.5 (e^1.5) at most in one step."""
+"""A choice: a noise parameter changes by at most a factor of 4.5 (e^1.5) in one step."""
 _DAMPINGS: Final = 6
-"""A choice: from _FIRST_DAMPING on, six reach 780 times the information (0.1 * 6^5)."""
-_FIRST_DAMPING: Final = 0.1  # A choice: of the information's diagonal, where a step overshot
+"""A choice: six, from _FIRST_DAMPING on, reach 780 times the information (0.1 * 6^5)."""
+_FIRST_DAMPING: Final = 0.1  # A choice: share of the information's diagonal, after an overshoot
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ def solve(gram: Floats, target: Floats) -> tuple[Floats, Floats, float]:
     scaled = gram * scale[:, None] * scale[None, :]
     scaled[np.diag_indices_from(scaled)] = np.where(lives, 1.0 + _RIDGE, 1.0)
     inverse = np.asarray(np.linalg.inv(scaled), np.float64) * scale[:, None] * scale[None, :]
-    # A step too far leaves no numbers; its likelihood, NaN, is then above no other.
+    # Too long a step gives NaN; a likelihood of NaN compares as higher than no other.
     with np.errstate(invalid="ignore"):
         _, log_det = np.linalg.slogdet(scaled)
     return (
@@ -63,7 +63,7 @@ def solve(gram: Floats, target: Floats) -> tuple[Floats, Floats, float]:
 def fit(residual: Residual, noise: Noise, regressors: Floats, target: Floats, prior: Floats) -> Fit:
     """Fit `regressors` [N, 6, K] to `target` [N, 6] under `noise`.
 
-    `prior` [K+1, K+1] is what is known beforehand, as a Gram matrix of rows (coefficient, target).
+    `prior` [K+1, K+1] is the prior information, as a Gram matrix of rows (coefficient, target).
     """
     rows = np.concatenate([regressors, target[:, :, None]], axis=2)
     gram, log_det = residual.grams(rows)(noise)
@@ -78,7 +78,7 @@ def _solved(noise: Noise, gram: Floats, log_det: float) -> Fit:
 
 
 class Posterior:
-    """Posterior of a noise: restricted likelihood and prior, with slope and information."""
+    """Posterior of the noise parameters: restricted likelihood and prior, slope, information."""
 
     def __init__(self, residual: Residual, rows: Floats, prior: Floats) -> None:
         self._residual, self._rows = residual, np.ascontiguousarray(rows)
@@ -107,7 +107,7 @@ class Posterior:
             spreads.append((moved_variance - log_variance) / _PROBE)
             moves.append((moved_white @ weights - left) / _PROBE + 0.5 * left * spreads[-1])
         move, spread = np.array(moves), np.array(spreads)
-        # Observed rather than expected where the misfit is larger than the noise says.
+        # Observed rather than expected information where the misfit exceeds the noise.
         weighted = spread * np.maximum(np.abs(left), 1.0)
         information = move @ move.T + 0.5 * weighted @ weighted.T
         information[np.diag_indices_from(information)] += _PRIOR_SIGMA**-2
@@ -125,8 +125,9 @@ def fit_noise(
     """Return the noise of highest restricted likelihood with `regressors` [N, 6, K] in the model.
 
     Fisher scoring, damped where it overshoots (Levenberg-Marquardt), on the logarithms of the
-    parameters, under a weak prior: each within a factor of e^2 of its first guess. A restricted
-    likelihood does not take the regressors' freedom for a smaller noise (Harville 1977).
+    parameters, under a weak prior: each within a factor of e^2 of its first guess. The restricted
+    likelihood accounts for the regressors' degrees of freedom, which otherwise bias the noise low
+    (Harville 1977).
     """
     score = Posterior(residual, np.concatenate([regressors, target[:, :, None]], axis=2), prior)
     low, high = np.array(residual.noise_bounds()).T

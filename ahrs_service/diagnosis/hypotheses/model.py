@@ -1,4 +1,4 @@
-"""A misfit explained: named effects with their parameters, unknown dependences, noise."""
+"""A model of the misfit: named effects with their parameters, unknown dependences, noise."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -20,28 +20,29 @@ from ahrs_service.effects.undo import ideal_motion
 from ahrs_service.records import Floats
 
 SIZES: Final = 2.0
-"""Sigma of a number beforehand, in sizes of data sheets: three of these are no longer believed.
+"""Prior sigma of a parameter as a multiple of the largest in data sheets; beyond three sigma it is
+implausible.
 
-Of all magnitudes that were planted into test recordings, on purpose too large some, the largest
-was 4.0 of the sizes."""
+The largest effect planted into test recordings, some of them too large on purpose, was 4.0 times
+the largest in data sheets."""
 
 _ITERATIONS: Final = 6
-"""A choice: a bound on Gauss-Newton's steps; _SETTLED_SIGMA ends a fit that settles."""
+"""A choice: limit on Gauss-Newton steps; _SETTLED_SIGMA ends a fit that converges."""
 _SETTLED_SIGMA: Final = 0.05
-"""A choice: a last step of 0.05 sigma is worth 0.05^2 / 2 = 0.001 nats per number."""
+"""A choice: a last step of 0.05 sigma is worth 0.05^2 / 2 = 0.001 nats per parameter."""
 _RELATIVE_STEP: Final = 1e-3
-"""A choice: a central difference over it is right to the order of its square, 1e-6."""
+"""A choice: the error of a central difference is of the order of its square, 1e-6."""
 _UNDO_ITERATIONS: Final = 6
-"""Raised from 3 for filters: each pass leaves of the error about the effect's own share."""
+"""Raised from 3 for filters: each pass reduces the error to about the effect's share of it."""
 _REFIT_ITERATIONS: Final = 8
-"""A choice: a bound on the noise's steps from a noise that already fits nearly."""
+"""A choice: limit on the steps of the noise, from a start that nearly fits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Model:
-    """Terms and unknown columns fitted to a residual; each is equal to itself alone.
+    """Terms and unknown columns fitted to a residual; compared by identity.
 
-    `unknown` [U] the smooth dependence that each column of `unknown_rows` [N, 6, U] is of;
+    `unknown` [U] the smooth dependence of each column of `unknown_rows` [N, 6, U];
     `log_likelihood` at its maximum; `covariance` [P, P] of the terms' free numbers in the order
     of `free_numbers`; `misfit` [N, 6] the rows minus what the terms add, `base` [N, 6, B] bias,
     unknown and the terms' derivatives, `prior` [B+1, B+1] of their coefficients (see `_prior`).
@@ -82,7 +83,7 @@ def free_numbers(terms: tuple[Term, ...]) -> list[Number]:
 def motion_under(columns: Columns, terms: tuple[Term, ...]) -> Columns:
     """Return the ideal motion where `columns` holds what an IMU with these terms reads.
 
-    Of the other effects' terms the reading is a substitute.
+    Terms that do not alter the motion are left in the reading.
     """
     acting = [(term.effect, term.values) for term in terms if term.effect.alters_motion]
     return ideal_motion(columns, acting, _UNDO_ITERATIONS)
@@ -90,7 +91,7 @@ def motion_under(columns: Columns, terms: tuple[Term, ...]) -> Columns:
 
 def _motion(residual: Residual, effect: Effect, terms: tuple[Term, ...]) -> Columns:
     columns = sources(residual, effect)
-    is_exact = residual.columns is residual.witnessed
+    is_exact = residual.columns is residual.reference_columns
     return columns if is_exact or effect.is_limit else motion_under(columns, terms)
 
 
@@ -124,7 +125,7 @@ def _difference(after: Addition, before: Addition, step: float) -> Addition:
 def derivative(
     residual: Residual, terms: tuple[Term, ...], number: Number, in_body: bool = False
 ) -> Floats:
-    """Return the rows [N, 6], or the body's, per unit of one free number, at present values."""
+    """Return the rows [N, 6], or the body's, per unit of one free number, at current values."""
     project = residual.project_body if in_body else residual.project
     term, parameter = terms[number.term], number.parameter
     columns = _motion(residual, term.effect, terms)
@@ -155,7 +156,7 @@ def _moved(terms: tuple[Term, ...], numbers: list[Number], by: Floats) -> tuple[
 
 
 def _possible(residual: Residual, terms: tuple[Term, ...]) -> tuple[Term, ...]:
-    """Return the terms with limits that agree with what the IMU has read."""
+    """Return the terms with saturation limits clipped to those the readings allow."""
     possible = []
     for term in terms:
         values = dict(term.values)
@@ -176,8 +177,8 @@ def _base(residual: Residual, terms: tuple[Term, ...], unknown_rows: Floats) -> 
 def _prior(terms: tuple[Term, ...], numbers: list[Number], count: int) -> Floats:
     """Return the prior [count+1, count+1] of a base whose last columns are the `numbers`.
 
-    Each number that enters linearly is Gaussian about zero, its sigma SIZES of the largest that
-    data sheets give: what the data do not tell stays small, and what they tell is left alone.
+    Each linear parameter is Gaussian about zero, its sigma SIZES times the largest in data sheets:
+    an unobservable parameter stays small, a well observed one is not affected.
     """
     prior = np.zeros((count + 1, count + 1))
     first = count - len(numbers)
@@ -196,7 +197,7 @@ def settle(
     unknown: tuple[Dependence, ...] = (),
     unknown_rows: Floats | None = None,
 ) -> Model:
-    """Fit the terms' numbers under one noise: Gauss-Newton, shorter where it overshoots."""
+    """Fit the terms' parameters under one noise: Gauss-Newton, shortened where it overshoots."""
     if unknown_rows is None:
         unknown_rows = np.empty((*residual.rows.shape, 0))
     numbers = free_numbers(terms)
@@ -209,7 +210,7 @@ def settle(
         prior = _prior(terms, numbers, base.shape[2])
         here = fit(residual, noise, base, misfit, prior)
         first = base.shape[2] - len(numbers)
-        # The step is linear, so the likelihood that counts is that of the numbers as they are.
+        # The step is linearised: the likelihood that counts is at the current parameters.
         kept = np.append(np.arange(first), base.shape[2])
         held = fit(residual, noise, base[:, :, :first], misfit, prior[np.ix_(kept, kept)])
         covariance = here.covariance[first:, first:]
@@ -241,7 +242,7 @@ def settle(
 
 
 def refit(residual: Residual, model: Model, iterations: int = 2) -> Model:
-    """Fit numbers and noise in turn."""
+    """Fit parameters and noise alternately."""
     for _ in range(iterations):
         start = _better_start(residual, model)
         noise = fit_noise(residual, model.base, model.misfit, model.prior, start, _REFIT_ITERATIONS)
@@ -253,9 +254,9 @@ def refit(residual: Residual, model: Model, iterations: int = 2) -> Model:
 
 
 def _better_start(residual: Residual, model: Model) -> Noise:
-    """Return the model's noise, or the first guess where that is now the likelier of both.
+    """Return the model's noise, or the first guess where that has the higher likelihood.
 
-    A large effect not yet in the model inflates its noise beyond the way back.
+    A large effect not yet in the model can inflate its noise too far to converge back.
     """
     first = residual.first_noise()
     afresh = fit(residual, first, model.base, model.misfit, model.prior)
@@ -263,7 +264,7 @@ def _better_start(residual: Residual, model: Model) -> Noise:
 
 
 def bare(residual: Residual) -> Model:
-    """Return the model without any effect, with the noise that this asks for."""
+    """Return the model without any effect, with its noise fitted."""
     noise = residual.first_noise()
     base = nuisance_rows(residual)
     prior = np.zeros((base.shape[2] + 1, base.shape[2] + 1))
@@ -274,7 +275,7 @@ def bare(residual: Residual) -> Model:
 
 
 def is_plausible(model: Model) -> bool:
-    """Whether all numbers of all terms may be of a size that an IMU can have."""
+    """Whether all parameters of all terms may be of a size that an IMU can have."""
     for number, variance in zip(free_numbers(model.terms), np.diag(model.covariance), strict=True):
         value = model.terms[number.term].values[number.parameter.name][number.index]
         least = abs(float(value)) - 2.0 * np.sqrt(max(float(variance), 0.0))
@@ -284,15 +285,15 @@ def is_plausible(model: Model) -> bool:
 
 
 def choose(residual: Residual, noise: Noise, base: Floats, rows: Floats, prior: Floats) -> None:
-    """Settle between the forms of the noise that a residual knows."""
+    """Choose among the forms of the noise that a residual has."""
     residual.choose(lambda: fit(residual, noise, base, rows, prior).log_likelihood)
 
 
 def gain_between(residual: Residual, shorter: Model, longer: Model) -> float:
     """Return the gain in log-likelihood [nats] of a model over one that it contains.
 
-    Each noise was fitted by restricted likelihood, which is not where the likelihood itself is
-    highest: both models are given the better of both noises.
+    Each noise maximises the restricted likelihood, not the likelihood itself: each model is
+    evaluated under both noises, and the better value counts.
     """
     short, long = (
         fit(residual, noise, model.base, model.misfit, model.prior).log_likelihood

@@ -1,7 +1,7 @@
-"""Named or unknown: whether a law of the catalogue fits as well as some smooth dependence.
+"""Named or unknown: whether an effect of the catalogue fits as well as a smooth dependence.
 
-Every misfit has a name that explains some of it. A name is believed only where no smooth unknown
-dependence, with all the numbers that it needs, explains clearly more.
+Some effect explains a part of any misfit. An effect is named only where no smooth unknown
+dependence, with all the parameters that it needs, explains clearly more.
 """
 
 from typing import Final
@@ -21,24 +21,24 @@ from ahrs_service.diagnosis.hypotheses.score_test import screen
 from ahrs_service.diagnosis.input.misfit import Residual
 
 CLEARLY: Final = 3.0
-"""Evidence [nats] by which one explanation is preferred to another: odds of 20."""
+"""Difference of evidence [nats] from which one explanation is preferred to another: odds of 20."""
 
 _FORM_SHARE: Final = 0.05
-"""Of a name's gain, what real physics of another form than the catalogue's may leave."""
+"""Share of an effect's gain that may remain because the true form differs from the catalogue's."""
 
 FITTED: Final = 3
-"""A choice: hypotheses fitted with their noise, the costly part; names and unknowns alike."""
+"""A choice: hypotheses fitted with their noise, the costly part; for named and unknown ones."""
 IN_REACH: Final = 0.5
-"""A choice: of the surprise to be beaten, from which a hypothesis is worth its full fit: screened
-under noise that it has itself inflated it shows less."""
+"""A choice: share of the surprise to be beaten from which a hypothesis is fitted in full: screened
+under the noise that it has inflated itself, its surprise is lower."""
 
 
 def evidence(gain: float, freedom: int) -> float:
-    """Return the log Bayes factor [nats] of `freedom` numbers that gain so much likelihood.
+    """Return the log Bayes factor [nats] of `freedom` parameters with this gain in likelihood.
 
-    Numbers Gaussian about zero, g times as uncertain beforehand as the data leave them, at the g
-    of highest evidence: gain - K/2 (1 + ln(2 gain / K)) (George, Foster 2000, eq. (14); Liang et
-    al. 2008, sec. 2.4).
+    Gaussian prior about zero with g times the variance of the estimate, at the g of highest
+    evidence: gain - K/2 (1 + ln(2 gain / K)) (George, Foster 2000, eq. (14); Liang et al. 2008,
+    sec. 2.4).
     """
     if 2.0 * gain <= freedom:
         return 0.0
@@ -52,9 +52,9 @@ def is_clearer(gain: float, freedom: int, named_gain: float, named_freedom: int)
 
 
 def is_clearer_than(residual: Residual, unknown: Step, named: Model, freedom: int) -> bool:
-    """Whether an unknown dependence explains clearly more than `named` with its `freedom` numbers.
+    """Whether an unknown dependence explains clearly more than `named` with `freedom` parameters.
 
-    Both under the better of both noises: a fit of the noise may end beside its best.
+    Each is evaluated under the better of both noises: a fit of the noise may miss its optimum.
     """
     named_gain = unknown.gain - gain_between(residual, named, unknown.model)
     return is_clearer(unknown.gain, unknown.candidate.freedom, named_gain, freedom)
@@ -69,7 +69,7 @@ def best_unknown(
 ) -> Step | None:
     """Return the unknown dependence of highest evidence, None if none reaches a surprise `least`.
 
-    `forms` with their surprise as screened; those in reach are fitted with their noise.
+    `forms` with their surprise as screened; the best are fitted with their noise.
     """
     ranking = [(c, v) for c, v in forms if c.effect is None and c.dependence not in model.unknown]
     steps = [
@@ -82,7 +82,7 @@ def best_unknown(
 
 
 def acts_on(triad: str, unknown: Candidate | Dependence) -> bool:
-    """Whether an unknown dependence is of a triad, `imu` being both."""
+    """Whether an unknown dependence belongs to a triad, `imu` being both."""
     return triad in (unknown.triad, "imu")
 
 
@@ -91,8 +91,8 @@ def unknown_instead(
 ) -> tuple[Step, tuple[Dependence, ...]] | None:
     """Return the unknown dependence that explains clearly more than a term, and what it replaces.
 
-    It is held against the term together with all unknown dependences of the term's triad: a law
-    of the wrong form leaves much that depends on what the law does.
+    It is compared with the term together with all unknown dependences of the term's triad: an
+    effect of the wrong form leaves a misfit that depends on the same covariates.
     """
     term = model.terms[place]
     beside = tuple(dict.fromkeys(n for n in model.unknown if acts_on(term.effect.triad, n)))
@@ -111,12 +111,12 @@ def unknown_instead(
     return step, beside
 
 
-def as_telling(
+def covariates_alike(
     residual: Residual, library: Library, shorter: Model, unknown: Dependence
 ) -> tuple[str, ...]:
-    """Return the covariates that explain as much as an unknown dependence in its place.
+    """Return the covariates that explain as much as an unknown dependence.
 
-    `shorter` is the model without it. It stands first; the others are of the same triad.
+    `shorter` is the model without it. Its own covariate is first; all are for the same triad.
     """
     gains = screen(residual, shorter.noise, library, shorter.base, shorter.misfit)
     value: dict[str, float] = {}

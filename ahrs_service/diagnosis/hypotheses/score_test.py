@@ -1,4 +1,4 @@
-"""How much each candidate would add to the likelihood, all at once from one Gram matrix."""
+"""Score test: the gain in likelihood of every candidate at once, from one Gram matrix."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -14,23 +14,23 @@ from ahrs_service.diagnosis.input.misfit import Noise, Residual
 from ahrs_service.records import Floats
 
 _LEAST_SIGMA: Final = 3.0
-"""A choice: one number of 3 sigma surprises by 5.9 nats; ALARM asks 8.3 (3.7 sigma)."""
+"""A choice: one parameter at 3 sigma has a surprise of 5.9 nats; ALARM requires 8.3 (3.7 sigma)."""
 _OWN_SHARE: Final = 1e-8
-"""Of a response's whitened energy that the nuisances must leave: less is rounding."""
+"""Least share of a response's whitened energy not explained by nuisances: less is rounding."""
 
 
 @dataclass(frozen=True, slots=True)
 class Gains:
-    """Gain in log-likelihood of each candidate [nats], and its surprise -log p."""
+    """Gain in log-likelihood of each candidate [nats], and its surprise -ln p [nats]."""
 
     gain: Floats
     surprise: Floats
 
 
 def surprise(gain: float, freedom: int) -> float:
-    """Return -log of the chance of a gain this large by noise alone: Wilks' chi-squared tail.
+    """Return the surprise: -ln of the chance of this gain under noise, by Wilks' chi-squared tail.
 
-    Beyond what a double holds, by the first two terms of the tail (Abramowitz, Stegun 26.4.12).
+    Beyond the range of a double, by the first two terms of the tail (Abramowitz, Stegun 26.4.12).
     """
     gain = max(gain, 0.0)
     if gain < 300.0:
@@ -43,9 +43,9 @@ def surprise(gain: float, freedom: int) -> float:
 def grams(
     residual: Residual, noise: Noise, library: Library, base: Floats, rows: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the candidates' Gram [K, K], its target [K] and what of the energy is their own [K].
+    """Return the candidates' Gram [K, K], its target [K] and the share of their own energy [K].
 
-    All after the nuisances `base` [N, 6, B] are fitted, under `noise`, to `rows` [N, 6].
+    All with the nuisances `base` [N, 6, B] projected out, under `noise`; target is `rows` [N, 6].
     """
     stack = np.concatenate([base, library.rows, rows[:, :, None]], axis=2)
     gram, _ = residual.grams(stack)(noise)
@@ -58,7 +58,7 @@ def grams(
 
 
 def gain_of(candidate: Candidate, gram: Floats, target: Floats, share: Floats) -> Floats:
-    """Return the gain in log-likelihood [nats] of one candidate: of `target` [K, ...] an [...]."""
+    """Return the gain in log-likelihood [nats] of one candidate, [...] for `target` [K, ...]."""
     place = candidate.columns
     if candidate.is_whole:
         return np.asarray(target[place][0] - 0.5 * gram[place, place][0, 0])
@@ -87,10 +87,10 @@ def screen(residual: Residual, noise: Noise, library: Library, base: Floats, row
 def unseen(
     residual: Residual, noise: Noise, library: Library, base: Floats, rows: Floats
 ) -> dict[str, str]:
-    """Return why effects would stay below the noise here even at the largest plausible size.
+    """Return the effects that stay below the noise even at the largest plausible size, and why.
 
-    By each number's sigma, were it alone beside the nuisances; an effect is not observable where
-    for all of its numbers three sigmas exceed what data sheets give.
+    By the sigma of each parameter fitted alone with the nuisances; an effect is not observable
+    where three sigmas of each of its parameters exceed the largest in data sheets.
     """
     gram, _, _ = grams(residual, noise, library, base, rows)
     energy = np.maximum(np.diag(gram), 1e-300)

@@ -1,1 +1,1 @@
-"""From a recording and its reference to the misfit of its IMU."""
+"""The misfit of a recording's IMU to its reference."""

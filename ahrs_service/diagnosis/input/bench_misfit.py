@@ -1,8 +1,8 @@
-"""The misfit on a rate table: an encoder tells rate and attitude, the reference point rests.
+"""The misfit on a rate table: an encoder gives rate and attitude, the reference point is at rest.
 
-Rate and specific force of the reference are exact beside the IMU's noise, so each channel is
+Rate and specific force of the reference are exact compared with the IMU's noise, so each channel is
 compared by itself in body axes: white noise, a constant bias and a first-order Gauss-Markov wander
-(IEEE Std 952, annex C). White noise has its size per axis, wander its size and time per triad.
+(IEEE Std 952, annex C). White noise has a size per axis, wander a size and time per triad.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,7 +13,13 @@ from scipy.interpolate import CubicSpline
 
 from ahrs_service.diagnosis.input.diagnosis_input import Recorded
 from ahrs_service.diagnosis.input.misfit import Grams, Noise
-from ahrs_service.diagnosis.input.reference import Reference, body_vectors, excursions, jumps, turns
+from ahrs_service.diagnosis.input.reference import (
+    Reference,
+    body_vectors,
+    excursions,
+    jumps,
+    rotations,
+)
 from ahrs_service.diagnosis.input.reference_motion import (
     GRAVITY_NED,
     covariates,
@@ -31,11 +37,11 @@ _STEP_S: Final = 0.08  # A choice: Nyquist's frequency of the windows is 6.3 Hz,
 _MOST_ROWS: Final = 12000
 """A choice: bounds time and memory; beyond 16 min the windows become longer."""
 _MOST_KNOWN: Final = 100
-"""A choice: whitened channels kept before all are dropped: bounds the memory."""
+"""A choice: whitened channels cached before all are dropped: bounds the memory."""
 
 
 class BenchResidual:
-    """Windows of the IMU minus encoder and gravity; see diagnosis.residual.Residual."""
+    """Window means of the IMU minus encoder and gravity; see input.misfit.Residual."""
 
     noise_names: Sequence[str] = (
         *(f"gyro_white_{axis}_rad_s" for axis in "xyz"),
@@ -48,7 +54,7 @@ class BenchResidual:
 
     def __init__(self, recorded: Recorded, reference: Reference) -> None:
         if reference.rate_rad_s is None:
-            raise DiagnosisError(f"{recorded.name}: no rates of an encoder to compare with")
+            raise DiagnosisError(f"{recorded.name}: no encoder rates to compare with")
         inside = (recorded.imu_time_s >= reference.time_s[0]) & (
             recorded.imu_time_s <= reference.time_s[-1]
         )
@@ -58,7 +64,7 @@ class BenchResidual:
         attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
         force = body_vectors(attitude, np.broadcast_to(-GRAVITY_NED, rate.shape))
         self.columns = covariates(recorded, time_s, rate, force, attitude)
-        self.witnessed = self.columns
+        self.reference_columns = self.columns
         step_s = (time_s[-1] - time_s[0]) / (len(time_s) - 1)
         window_s = max(_STEP_S, (time_s[-1] - time_s[0]) / _MOST_ROWS)
         self._window = max(1, round(window_s / step_s))
@@ -80,14 +86,14 @@ class BenchResidual:
         return means(values, self._window)
 
     def _without_reference(self, reference: Reference, time_s: Floats) -> Floats:
-        """Return which windows [N] hold a jump of the encoder or a stay away from the truth."""
+        """Return which windows [N] contain a jump or an excursion of the encoder."""
         assert reference.rate_rad_s is not None
         steps = np.diff(reference.time_s)[:, None]
         means = 0.5 * (reference.rate_rad_s[1:] + reference.rate_rad_s[:-1])
-        apart = turns(reference) - means * steps
+        apart = rotations(reference) - means * steps
         jumped = jumps(apart)
         bad = jumped | excursions(reference.time_s, apart, jumped)
-        # The splines ring for some intervals beside a jump.
+        # The splines ring for some intervals around a jump.
         bad = np.convolve(bad, np.ones(9), mode="same") > 0.0
         at_imu = np.interp(time_s, reference.time_s[1:], bad.astype(np.float64))
         return (self._windows(at_imu) > 0.0).astype(np.float64)
@@ -103,11 +109,11 @@ class BenchResidual:
         return rows
 
     def project_body(self, addition: Addition) -> Floats:
-        """Return the same: the windows are in body axes."""
+        """Return the same as `project`: the windows are in body axes."""
         return self.project(addition)
 
     def first_noise(self) -> Noise:
-        """Return white noise by differences of neighbours, wander of a fifth of it, 100 s."""
+        """Return white noise from successive differences, a wander of 0.3 of it over 60 s."""
         here = self.rows[self.missing == 0.0]
         white = np.maximum(1.4826 * np.median(np.abs(np.diff(here, axis=0)), axis=0), 1e-12)
         white /= np.sqrt(2.0)
@@ -122,7 +128,7 @@ class BenchResidual:
         return np.log(values)
 
     def noise_bounds(self) -> list[tuple[float, float]]:
-        """Return bounds: white noise within a factor of 5, wander 1e-3 to 1e3 of it, 15-1000 s."""
+        """Return bounds about the guess: white noise 1/5 to 5, wander 1/300 to 1000; 15-1000 s."""
         first = self.first_noise()
         white = [(w - np.log(5.0), w + np.log(5.0)) for w in first]
         times = (np.log(15.0), np.log(1000.0))
@@ -144,8 +150,8 @@ class BenchResidual:
     def grams(self, rows: Floats) -> Grams:
         """Return the function from noise to the Gram matrix of `rows` [N, 6, K] whitened.
 
-        Channels are whitened by themselves, without the columns that leave them alone, and again
-        only when a parameter of theirs has changed.
+        Each channel is whitened separately, without columns that are zero there, and only when
+        one of its parameters has changed.
         """
         used = [np.flatnonzero(np.any(rows[:, channel] != 0.0, axis=0)) for channel in range(6)]
         parts = [np.ascontiguousarray(rows[:, c, used[c]]) for c in range(6)]

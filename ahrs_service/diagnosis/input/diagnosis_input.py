@@ -1,4 +1,4 @@
-"""What a recording gives to diagnosis: columns in SI units on one clock, from whatever file."""
+"""The input of a diagnosis: columns in SI units on one clock, from any file format."""
 
 from dataclasses import dataclass, field
 
@@ -18,7 +18,7 @@ class Series:
         return len(self.time_s)
 
     def at(self, time_s: Floats) -> Floats:
-        """Return the values at `time_s`, linear between and held beyond; NaN if none."""
+        """Return the values at `time_s`, linear between, held beyond the ends; NaN if empty."""
         if not len(self):
             return np.full(len(time_s), np.nan)
         return np.interp(time_s, self.time_s, self.values)
@@ -29,8 +29,8 @@ class Recorded:
     """The columns of a recording, all times [s] since power-on of the sender.
 
     `gyro_rad_s`, `accel_m_s2` at `imu_time_s` as measured; the reference: `attitude`
-    (ned_from_body wxyz), `velocity_ned_m_s`, and `body_rate_rad_s` from the same source (which in
-    flight may be this very IMU: diagnosis finds out); covariates: the IMU's own
+    (ned_from_body wxyz), `velocity_ned_m_s`, and `body_rate_rad_s` from the same source (in flight
+    possibly this same IMU, which is detected); covariates: the IMU's own
     `temperature_degc`, `vibration_m_s2` [N, 3], `current_a`, `throttle` 0 to 1, `airspeed_m_s`,
     `supply_v`.
     """

@@ -1,8 +1,8 @@
-"""Effects put into, or taken out of, the readings of a recording itself.
+"""Effects added to, or removed from, the readings of a recording.
 
-What a twin knows is taken out before recording and reference are compared; what a test plants is
-put in, both by effects.undo. The motion by which an effect acts is the IMU's own, smoothed over
-50 ms, so that noise is not taken for motion; timing is in the stamps.
+The effects of a twin are removed before recording and reference are compared; tests plant effects
+by adding them. Both use effects.undo. The motion that an effect depends on is the IMU's own,
+smoothed over 50 ms to suppress noise; timing effects change the timestamps.
 """
 
 from dataclasses import replace
@@ -17,13 +17,13 @@ from ahrs_service.effects.undo import Acting, added, added_to, delay_s
 from ahrs_service.errors import DiagnosisError
 
 _SMOOTHED_S: Final = 0.05
-"""A mean of 50 ms passes motion below 8.9 Hz (-3 dB), so all below MOTION_HZ."""
+"""A mean over 50 ms passes motion below 8.9 Hz (-3 dB), which includes all below MOTION_HZ."""
 _ITERATIONS: Final = 3
-"""A choice: each pass leaves of the error the effect's share, of a scale of 3 % 3e-5 in all."""
+"""A choice: each pass multiplies the error by the effect's size; 3e-5 is left of a 3 % scale."""
 
 
-def acting(recorded: Recorded) -> Columns:
-    """Return what acts on the IMU of a recording, the motion by the IMU itself."""
+def effect_inputs(recorded: Recorded) -> Columns:
+    """Return the inputs of effects on the IMU of a recording, with the motion from the IMU."""
     time_s = recorded.imu_time_s
     width = max(1, round(_SMOOTHED_S / float(np.median(np.diff(time_s)))))
     rate, force = (
@@ -31,8 +31,8 @@ def acting(recorded: Recorded) -> Columns:
         for values in (recorded.gyro_rad_s, recorded.accel_m_s2)
     )
     temperature = recorded.temperature_degc.at(time_s)
-    shaken = recorded.vibration_m_s2
-    level = Series(shaken.time_s, shaken.values.mean(axis=1)) if len(shaken) else shaken
+    vibration = recorded.vibration_m_s2
+    level = Series(vibration.time_s, vibration.values.mean(axis=1)) if len(vibration) else vibration
     attitude = recorded.attitude
     q = np.stack([np.interp(time_s, attitude.time_s, c) for c in attitude.values.T], axis=1)
     return Columns(
@@ -52,8 +52,8 @@ def acting(recorded: Recorded) -> Columns:
 
 
 def with_effects(recorded: Recorded, effects: Acting) -> Recorded:
-    """Return the recording of an IMU on which `effects` act as well."""
-    gyro, accel = added(_known(acting(recorded), effects), effects)
+    """Return the recording with `effects` added."""
+    gyro, accel = added(_known(effect_inputs(recorded), effects), effects)
     return replace(
         recorded,
         imu_time_s=recorded.imu_time_s + delay_s(recorded.imu_time_s, effects),
@@ -63,27 +63,27 @@ def with_effects(recorded: Recorded, effects: Acting) -> Recorded:
 
 
 def without_effects(recorded: Recorded, effects: Acting) -> Recorded:
-    """Return the recording with `effects` taken out of it; ValueError names what they need.
+    """Return the recording with `effects` removed; ValueError names a missing input of theirs.
 
-    What was cut off or filtered away comes back to first order at most.
+    What was clipped or filtered is restored to first order at most.
     """
     if not effects:
         return recorded
     time_s = recorded.imu_time_s - delay_s(recorded.imu_time_s, effects)
     recorded = replace(recorded, imu_time_s=time_s)
-    gyro, accel = added_to(_known(acting(recorded), effects), effects, _ITERATIONS)
+    gyro, accel = added_to(_known(effect_inputs(recorded), effects), effects, _ITERATIONS)
     return replace(
         recorded, gyro_rad_s=recorded.gyro_rad_s - gyro, accel_m_s2=recorded.accel_m_s2 - accel
     )
 
 
 def _known(columns: Columns, effects: Acting) -> Columns:
-    """Return the columns if they hold what the effects need; ValueError names what they lack."""
+    """Return the columns if they have all that the effects need; ValueError names what is not."""
     for effect, _ in effects:
         name = effect.unknown_need(columns)
         if name is not None:
             raise DiagnosisError(
-                f"the twin's {effect.id} needs {name}, which the recording has not; "
-                "leave the effect out of the twin"
+                f"the twin's {effect.id} needs {name}, which the recording lacks; "
+                "remove the effect from the twin"
             )
     return columns

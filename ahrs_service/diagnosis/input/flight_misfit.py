@@ -1,9 +1,9 @@
-"""The misfit in flight: an INS tells attitude and velocity with errors of its own.
+"""The misfit in flight: an INS gives attitude and velocity with their own errors.
 
-Compared are angle and velocity gathered since the beginning, in earth axes, because there the
+Compared are angle and velocity integrated from the start, in earth axes, because there the
 reference's errors are stationary: first-order Gauss-Markov plus white. Its attitude error e also
-tilts the specific force and so enters the velocity as e x f. Noise, wander and effects of the IMU
-are integrated with the attitude (diagnosis.flight_filter).
+tilts the specific force and enters the velocity as e x f. Noise, wander and effects of the IMU
+are integrated with the attitude (noise_model.flight_filter).
 """
 
 from collections.abc import Callable, Sequence
@@ -14,20 +14,20 @@ import numpy.typing as npt
 
 from ahrs_service.diagnosis.input.diagnosis_input import Recorded
 from ahrs_service.diagnosis.input.misfit import Grams, Noise
-from ahrs_service.diagnosis.input.preintegrated_misfit import Gathered, gather
+from ahrs_service.diagnosis.input.preintegrated_misfit import Preintegrated, preintegrated
 from ahrs_service.diagnosis.input.reference import Reference, excursions, jumps
 from ahrs_service.diagnosis.input.reference_motion import (
     GRAVITY_NED,
     covariates,
     density,
     ends,
+    motion_of_reference,
     moving,
     scatter,
     slow_motion,
-    witnessed,
 )
 from ahrs_service.diagnosis.input.sparse_velocity import Instants, instants_on
-from ahrs_service.diagnosis.input.windows import gathered_means, means
+from ahrs_service.diagnosis.input.windows import integral_means, means
 from ahrs_service.diagnosis.noise_model.flight_filter import STATES, flight_gains, whiten_flight
 from ahrs_service.effects.base import Addition
 from ahrs_service.records import Floats
@@ -37,36 +37,36 @@ _STEP_S: Final = 0.1  # A choice: Nyquist's frequency of the windows is 5 Hz, ne
 _MOST_ROWS: Final = 8000
 """A choice: bounds time and memory; beyond 13 min the windows become longer."""
 _UNKNOWN_ANGLE: Final = 1.0
-"""Variance [rad^2]: 1 rad is 1400 times the reference's first error, as good as unknown."""
+"""Variance [rad^2]: 1 rad is 1400 times the first guess of the reference's error: unknown."""
 _UNKNOWN_SPEED: Final = 100.0
-"""Variance [m^2/s^2]: 10 m/s is 330 times the reference's first error, likewise."""
+"""Variance [m^2/s^2]: 10 m/s is 330 times the first guess of the reference's error: unknown."""
 _SIZES: Final = 50.0
-"""A choice: a fitted noise lies within this factor of its first guess, two sigma of its prior."""
-_WANDERS: Final = 1000.0  # A choice: the same of a wander, of which a first guess knows least
+"""A choice: a fitted noise is within this factor of its first guess, two sigma of its prior."""
+_WANDERS: Final = 1000.0  # A choice: the same for a wander, whose first guess is the least certain
 _LONGEST_ERROR: Final = float(np.log(60.0))
-"""An INS takes its tilt and velocity back to what it observes within tens of seconds; what stays
-longer is no error of its that comes and goes. Of real flights four attitudes err for 5 to 36 s and
-two for 84 and 107 s, of which this bound costs 1.5 nats at most; a bound of 20 s would cost 18
-(tests/benchmarks/reference_errors.py)."""
-_TIMES: Final = 30.0  # A choice: the same of the reference's correlation times, downwards
+"""An INS corrects its tilt and velocity from its observations within tens of seconds; a longer
+error is not a random error of the INS. Over real flights four attitudes have correlation times of
+5 to 36 s and two of 84 and 107 s, for which this bound costs 1.5 nats at most; a bound of 20 s
+would cost 18 (tests/benchmarks/reference_errors.py)."""
+_TIMES: Final = 30.0  # A choice: the same for the lower bound of the reference's correlation times
 _GYRO, _ACCEL = slice(0, 3), slice(3, 6)
 _USUAL_DENSITIES: Final = (7e-5, 1e-3)
-"""As ICM-20602's data sheet has them: 0.004 deg/s and 100 ug per sqrt(Hz)."""
+"""ICM-20602 data sheet: 0.004 deg/s and 100 ug per sqrt(Hz)."""
 _FILTERS_KEPT: Final = 3
-"""Gains of the last noises, 9 MB each: the same noise is asked for many times in turn."""
+"""Gains cached for the last noises, 9 MB each: the same noise is used many times in a row."""
 _QUIETEST: Final = 0.3
-"""Of the usual density: no MEMS sensor is quieter, but a simulator's may have no noise at all."""
+"""Least share of the usual density: no MEMS sensor is quieter, but a simulator's may be."""
 _MEASURED: Final = float(np.log(1.3))
-"""The density is read off the IMU's spectrum; the reference's error would hide it."""
+"""The density is measured in the IMU's spectrum; the reference's error would hide it."""
 _SLOW: Final = (float(np.log(15.0)), float(np.log(3000.0)))
-"""Wander is slow: what comes and goes within seconds is motion, and to be explained by it."""
+"""Wander is slow: what changes within seconds is due to motion and must be explained by it."""
 
 _Path = tuple[Floats, Floats, Floats, Floats]
 _Filter = tuple[tuple[*_Path, Floats, Floats, Floats, Floats], Floats]
 
 
 class FlightResidual:
-    """Angle and velocity gathered by the IMU minus the reference's; see residual.Residual."""
+    """Angle and velocity integrated from the IMU minus the reference's; see misfit.Residual."""
 
     noise_names: Sequence[str] = (
         "reference_attitude_rad",
@@ -91,7 +91,7 @@ class FlightResidual:
         length_s = grid_s[-1] - grid_s[0]
         window_s = max(_STEP_S, length_s / _MOST_ROWS)
         self._window = max(1, round(window_s * (len(grid_s) - 1) / length_s))
-        path = gather(recorded, reference)
+        path = preintegrated(recorded, reference)
         self._parts, self._q = path.parts, path.ned_from_body
         axes = [
             rotate_columns(self._q, np.broadcast_to(axis, (len(self._q), 3))) for axis in np.eye(3)
@@ -108,13 +108,13 @@ class FlightResidual:
         self._steps_s = np.diff(self.time_s, prepend=2.0 * self.time_s[0] - self.time_s[1])
         self.missing = (self._windows(np.append(False, away).astype(float)) > 0.0).astype(float)
         self._begins = (self._windows(np.append(False, jumped).astype(float)) > 0.0).astype(float)
-        # Whatever was gathered while the attitude was wrong is no longer known after it.
+        # Integrals over a span with a wrong attitude are invalid: restart after it.
         self._begins[1:] = np.maximum(self._begins[1:], self.missing[:-1])
         self._instants: Instants | None = None
         self._unseen = np.zeros(self.rows.shape, np.bool_)
         if len(path.velocity):
             self._measure(path)
-        self._turn, self._tilt, self._path = self._paths(path.speeds)
+        self._rotation, self._tilt, self._path = self._paths(path.speeds)
         self._is_error_in_body = True
         self.moved: Callable[[], None] = lambda: None
         self._filters: dict[tuple[bytes, bool], _Filter] = {}
@@ -131,14 +131,14 @@ class FlightResidual:
         read = covariates(recorded, path.time_s, motion[:, _GYRO], motion[:, _ACCEL], self._q)
         shaking = np.where(np.isfinite(read.vibration_m_s2), read.vibration_m_s2, 0.0)
         self._vibration = self._windows(shaking[:: self._parts])[:, None]
-        self.witnessed = witnessed(reference, read)
-        self.columns = moving(read, self.witnessed)
+        self.reference_columns = motion_of_reference(reference, read)
+        self.columns = moving(read, self.reference_columns)
         self.body = self._in_body(reference, increments)
 
-    def _measure(self, path: Gathered) -> None:
-        """Put the misfit of a velocity that is told seldom into the rows nearest to its instants.
+    def _measure(self, path: Preintegrated) -> None:
+        """Put the misfit of a sparse velocity into the rows nearest to its instants.
 
-        Drawn between its instants it would be smooth, and correlated with itself.
+        Interpolated, it would be smooth and autocorrelated.
         """
         instants = instants_on(self.time_s, path.time_s, path.velocity.time_s)
         increments = np.diff(path.velocity.values[instants.taken], axis=0)
@@ -155,7 +155,7 @@ class FlightResidual:
         return means(values, self._window)
 
     def _paths(self, speeds: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return mean rotation and integrated -[f x] of the steps to each row; rotation there."""
+        """Return mean rotation and integrated -[f x] of the step to each row; rotation there."""
         path = self._windows(self._axes[:: self._parts])
         rotation_of_step = path.copy()
         rotation_of_step[1:] = 0.5 * (path[1:] + path[:-1])
@@ -177,7 +177,7 @@ class FlightResidual:
         return np.asarray(np.concatenate([angle, speed]) / length_s)
 
     def _in_earth(self, motion: Floats) -> Floats:
-        """Return how fast angle and velocity change [M, 6] in earth axes."""
+        """Return the rates of change of angle and velocity [M, 6] in earth axes."""
         turning = rotate_columns(self._q, motion[:, _GYRO])
         acceleration = rotate_columns(self._q, motion[:, _ACCEL]) + GRAVITY_NED
         return np.hstack([turning, acceleration])
@@ -185,8 +185,8 @@ class FlightResidual:
     def _lateness(self, fine_s: Floats, acceleration: Floats) -> Floats:
         """Return what a late velocity adds to the rows [N, 6, 2], by its first two derivatives.
 
-        A receiver of satellites tells its velocity 0.1 to 0.2 s late (ArduPilot issues 2850, 5405),
-        so where the velocity is told seldom its time is no witness.
+        A GNSS receiver reports its velocity 0.1 to 0.2 s late (ArduPilot issues 2850, 5405), so
+        the time of a sparse velocity is not trusted.
         """
         if self._instants is None:
             return np.empty((*self.rows.shape, 0))
@@ -208,18 +208,18 @@ class FlightResidual:
         self.moved()
         rows = np.zeros(self.rows.shape)
         if addition.gyro is not None:
-            rows[:, _GYRO] = self._gathered(addition.gyro)
+            rows[:, _GYRO] = self._integrated(addition.gyro)
         if addition.accel is None:
             return rows
         if self._instants is None:
-            rows[:, _ACCEL] = self._gathered(addition.accel)
+            rows[:, _ACCEL] = self._integrated(addition.accel)
         else:
-            every = gathered_means(self._axes, addition.accel, self._fine_s, 1)
+            every = integral_means(self._axes, addition.accel, self._fine_s, 1)
             rows[:, _ACCEL] = self._instants.measured(every)
         return rows
 
-    def _gathered(self, added: Floats) -> Floats:
-        return gathered_means(self._axes, added, self._fine_s, self._window, self._parts)
+    def _integrated(self, added: Floats) -> Floats:
+        return integral_means(self._axes, added, self._fine_s, self._window, self._parts)
 
     def project_body(self, addition: Addition) -> Floats:
         """Return what an addition [M, 3] on the grid adds to rate and force [N, 6]."""
@@ -231,7 +231,7 @@ class FlightResidual:
         return rows
 
     def first_noise(self) -> Noise:
-        """Return the sizes of a good INS and of a consumer IMU."""
+        """Return the noise of a good INS and of a consumer IMU."""
         attitude, velocity = [7e-4, 6.0, 5e-5], [0.03, 4.0, 0.003]
         g, a = (
             max(seen, _QUIETEST * usual) if np.isfinite(seen) else usual
@@ -260,10 +260,10 @@ class FlightResidual:
         return np.broadcast_to(np.eye(3), self._path.shape).copy()
 
     def choose(self, likelihood: Callable[[], float]) -> None:
-        """Let the reference's attitude error be stationary in body or in earth axes.
+        """Choose whether the reference's attitude error is stationary in body or in earth axes.
 
-        Which of them has the higher `likelihood`: an INS of the vehicle's own errs
-        in its axes, a reference fed by satellites or cameras in the earth's.
+        The one with the higher `likelihood`: the error of the vehicle's own INS is stationary in
+        body axes, that of a reference from satellites or cameras in earth axes.
         """
         values = {}
         for is_in_body in (True, False):
@@ -296,8 +296,8 @@ class FlightResidual:
         return out, log_variance
 
     def _filter(self, noise: Noise) -> _Filter:
-        """Return path, steps and gains as `whiten_flight` takes them, and the log variances."""
-        e, e_s, e_white, g, b, b_s, v, v_s, v_white, a, c, c_s, turned, shaken, late = np.exp(noise)
+        """Return path, steps and gains for `whiten_flight`, and the log variances."""
+        e, e_s, e_white, g, b, b_s, v, v_s, v_white, a, c, c_s, e_vib, v_vib, jitter = np.exp(noise)
         step_s = self._steps_s[:, None]
         keep = np.exp(-step_s / np.array([e_s, b_s, v_s, c_s]))
         held = np.array([e, b, v, c]) ** 2 * (1.0 - keep * keep)
@@ -305,20 +305,20 @@ class FlightResidual:
             [held[:, :1], g * g * step_s, held[:, 1:3], a * a * step_s, held[:, 3:]],
         )
         start = np.array([e * e, _UNKNOWN_ANGLE, b * b, v * v, _UNKNOWN_SPEED, c * c])
-        # The mean over a window of what wanders at random: its increments are correlated by +1/4,
-        # which is a white noise of negative variance (Working 1960).
+        # Window means of a random walk: their increments are correlated by +1/4,
+        # equivalent to a white noise of negative variance (Working 1960).
         mean_of_walk = (1.0 - 1.0 / self._window**2) / 6.0
-        white = (late * self._changes) ** 2
-        white[:, :3] += e_white**2 + (turned * self._vibration) ** 2
-        white[:, 3:] += v_white**2 + (shaken * self._vibration) ** 2
+        white = (jitter * self._changes) ** 2
+        white[:, :3] += e_white**2 + (e_vib * self._vibration) ** 2
+        white[:, 3:] += v_white**2 + (v_vib * self._vibration) ** 2
         usual = np.median(drive, axis=0)
         white[:, :3] -= mean_of_walk * (usual[0] + usual[1])
         if self._instants is None:
             white[:, 3:] -= mean_of_walk * (usual[3] + usual[4])
         count = len(self.rows)
         path = (
-            self._turn,
-            self._tilt @ self._turn if self._is_error_in_body else self._tilt,
+            self._rotation,
+            self._tilt @ self._rotation if self._is_error_in_body else self._tilt,
             self._path if self._is_error_in_body else self._earth_axes(),
             self._begins,
         )
@@ -327,7 +327,7 @@ class FlightResidual:
         steps = self._steps_s, keep
         unseen = np.maximum(self._unseen[:, ::3], self.missing[:, None])
         flight_gains(*path, *steps, unseen, drive, start, white, gains, roots, variances)
-        # Noise tried too far leaves no numbers; its likelihood, NaN, is then above no other.
+        # Noise far out of range gives NaN; a likelihood of NaN compares as higher than no other.
         with np.errstate(invalid="ignore"):
             return (*path, *steps, gains, roots), np.log(variances)
 
@@ -337,5 +337,5 @@ def _sum(increments: Floats) -> Floats:
 
 
 def is_flight(reference: Reference) -> bool:
-    """Whether the reference moves or has no rates of its own."""
+    """Whether the reference moves or has no independent rates."""
     return reference.rate_rad_s is None or not reference.is_at_rest

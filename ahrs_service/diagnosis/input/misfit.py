@@ -1,4 +1,4 @@
-"""What the comparison of IMU and reference looks like to the search, on a bench or in flight."""
+"""The interface of a comparison of IMU and reference, on a bench or in flight."""
 
 from collections.abc import Callable, Sequence
 from typing import Protocol
@@ -23,18 +23,18 @@ Grams = Callable[[Noise], tuple[Floats, float]]
 class Residual(Protocol):
     """A misfit of IMU and reference [N, 6] (gyro, accel) with its noise.
 
-    `time_s` [N] of the rows, `rows` [N, 6] the misfit as it is whitened; `body` [N, 6] the same
-    as rate [rad/s] and specific force [m/s^2] in body axes, for people. `columns` the motion by
-    the best source there is, `witnessed` by the reference alone (the same where it is exact).
-    `moved` is called with every projection and whitening, of which diagnosis does thousands.
-    `nuisances` [N, 6, K] what the reference's own errors that no noise describes add to the rows.
+    `time_s` [N] of the rows, `rows` [N, 6] the misfit to be whitened; `body` [N, 6] the same as
+    rate [rad/s] and specific force [m/s^2] in body axes, for reports. `columns` the motion from the
+    best source, `reference_columns` from the reference alone (the same where it is exact).
+    `moved` is called with every projection and whitening, for progress: there are thousands.
+    `nuisances` [N, 6, K] what errors of the reference that are not noise add to the rows.
     """
 
     time_s: Floats
     rows: Floats
     body: Floats
     columns: Columns
-    witnessed: Columns
+    reference_columns: Columns
     missing: Floats
     largest: Floats
     ends: Floats
@@ -45,7 +45,7 @@ class Residual(Protocol):
     moved: Callable[[], None]
 
     def __hash__(self) -> int:
-        """By identity: what was computed for a residual is kept."""
+        """By identity, for caches of what was computed for a residual."""
 
     def project(self, addition: Addition) -> Floats:
         """Return what an addition on the grid of `columns` adds to `rows` [N, 6]."""
@@ -54,13 +54,13 @@ class Residual(Protocol):
         """Return what it adds to `body` [N, 6]."""
 
     def first_noise(self) -> Noise:
-        """Return noise parameters to begin a fit with."""
+        """Return noise parameters to start a fit from."""
 
     def noise_bounds(self) -> list[tuple[float, float]]:
         """Return the bounds of the noise parameters."""
 
     def choose(self, likelihood: Callable[[], float]) -> None:
-        """Settle between forms of the noise by the `likelihood` under each."""
+        """Choose among forms of the noise by the `likelihood` under each."""
 
     def grams(self, rows: Floats) -> Grams:
         """Return the function from noise to the Gram matrix of `rows` [N, 6, K] whitened."""
@@ -83,5 +83,5 @@ def bias_rows(residual: Residual) -> Floats:
 
 
 def nuisance_rows(residual: Residual) -> Floats:
-    """Return what is always fitted [N, 6, 6 + K]: constant biases, and the reference's own."""
+    """Return what is always fitted [N, 6, 6 + K]: constant biases and the reference's nuisances."""
     return np.concatenate([bias_rows(residual), residual.nuisances], axis=2)

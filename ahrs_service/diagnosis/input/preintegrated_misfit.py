@@ -1,4 +1,4 @@
-"""What an IMU gathers between references, against theirs, and the path between them."""
+"""The IMU preintegrated between references, minus the references' change, and the path between."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -15,24 +15,24 @@ from ahrs_service.records import Floats
 from ahrs_service.rotation import inverse_columns, multiply_columns, rotate_columns
 
 _FINE_S: Final = 0.02
-"""An integral by the trapezoid rule over such steps is right to 1 % at 3 Hz."""
+"""The trapezoid rule over such steps is accurate to 1 % at 3 Hz."""
 
 _DENSE_S: Final = 0.005
-"""Lines through samples so far apart miss 2e-4 m/s^2 of gravity's turn at 200 deg/s."""
+"""Linear interpolation over this step errs by 2e-4 m/s^2 for gravity rotating at 200 deg/s."""
 
-_GAP: Final = 4.0  # A choice: a step of more usual ones is a gap: four samples or more are lost
+_GAP: Final = 4.0  # A choice: a gap is longer than this many usual steps: samples are lost
 _SHORTEST_GAP_S: Final = 0.1  # A choice: no shorter step is a gap, however fast the sensor
 
 
 @dataclass(frozen=True, slots=True)
-class Gathered:
-    """The IMU between successive references, in earth axes.
+class Preintegrated:
+    """The IMU preintegrated between successive references, in earth axes.
 
-    `misfit` [N-1, 6] angle [rad] and velocity [m/s] gathered minus the reference's, `speeds`
-    [N-1, 3] [m/s] the force gathered; `is_broken` [N-1] where there is a gap. `time_s` [M] and
+    `misfit` [N-1, 6] preintegrated angle [rad] and velocity [m/s] minus the reference's, `speeds`
+    [N-1, 3] [m/s] the integrated force; `is_broken` [N-1] where there is a gap. `time_s` [M] and
     `ned_from_body` [M, 4] the references and `parts` - 1 instants between neighbours,
-    M = (N - 1) parts + 1. `velocity` [K, 3] the velocity's misfit since the begin, at its own
-    instants, where it is told more seldom than the attitude.
+    M = (N - 1) parts + 1. `velocity` [K, 3] the velocity misfit since the start, at the velocity's
+    own instants, where it is reported less often than the attitude.
     """
 
     time_s: Floats
@@ -44,22 +44,23 @@ class Gathered:
     velocity: Series
 
 
-def gather(recorded: Recorded, reference: Reference) -> Gathered:
-    """Gather the IMU between references.
+def preintegrated(recorded: Recorded, reference: Reference) -> Preintegrated:
+    """Return the IMU preintegrated between references.
 
-    The force is resolved along the references' own turns: within an interval the gyro is followed
-    less what it turns too far, else its errors, late stamps above all, would enter the velocity.
+    The force is resolved along the references' attitude: within an interval the gyro's rate is
+    corrected by its excess over the references' rotation. Otherwise gyro errors, late timestamps
+    above all, would enter the velocity.
     """
     at_s, q = reference.time_s, reference.ned_from_body
     steps_s = np.diff(at_s)[:, None]
     parts = max(1, round(float(np.median(steps_s)) / _FINE_S))
     dense = _dense(recorded)
-    turns, _ = _gathered(dense, at_s, np.zeros((len(q) - 1, 3)))
+    rotations, _ = _integrated(dense, at_s, np.zeros((len(q) - 1, 3)))
     expected = multiply_columns(inverse_columns(q[:-1]), q[1:])
-    apart = rotation_vectors(multiply_columns(inverse_columns(expected), turns))
+    apart = rotation_vectors(multiply_columns(inverse_columns(expected), rotations))
     fine_s = _between(at_s, parts)
-    turns, speeds = _gathered(dense, fine_s, np.repeat(apart / steps_s, parts, axis=0))
-    path = _path(q, turns, parts)
+    rotations, speeds = _integrated(dense, fine_s, np.repeat(apart / steps_s, parts, axis=0))
+    path = _path(q, rotations, parts)
     pushed = rotate_columns(path[:-1], speeds)
     forces = pushed.reshape(-1, parts, 3).sum(axis=1)
     own = reference.velocity
@@ -71,7 +72,7 @@ def gather(recorded: Recorded, reference: Reference) -> Gathered:
     else:
         gained = forces + GRAVITY_NED * steps_s - np.diff(reference.velocity_ned_m_s, axis=0)
     misfit = np.hstack([rotate_columns(q[1:], apart), gained])
-    return Gathered(fine_s, path, parts, misfit, forces, _gaps(recorded, at_s), own)
+    return Preintegrated(fine_s, path, parts, misfit, forces, _gaps(recorded, at_s), own)
 
 
 def _columns_at(time_s: Floats, values: Floats, at: Series) -> Floats:
@@ -79,7 +80,7 @@ def _columns_at(time_s: Floats, values: Floats, at: Series) -> Floats:
 
 
 def _dense(recorded: Recorded) -> Recorded:
-    """Return a slow IMU drawn as curves between its samples, for straight lines cut the bends."""
+    """Return a slow IMU resampled by Akima interpolation; linear interpolation cuts the peaks."""
     imu_s = recorded.imu_time_s
     parts = round(float(np.median(np.diff(imu_s))) / _DENSE_S)
     if parts < 2:
@@ -92,11 +93,11 @@ def _dense(recorded: Recorded) -> Recorded:
     return replace(recorded, imu_time_s=dense_s, gyro_rad_s=gyro, accel_m_s2=accel)
 
 
-def _gathered(recorded: Recorded, at_s: Floats, excess_rad_s: Floats) -> tuple[Floats, Floats]:
-    turns, speeds = np.empty((len(at_s) - 1, 4)), np.empty((len(at_s) - 1, 3))
+def _integrated(recorded: Recorded, at_s: Floats, excess_rad_s: Floats) -> tuple[Floats, Floats]:
+    rotations, speeds = np.empty((len(at_s) - 1, 4)), np.empty((len(at_s) - 1, 3))
     gyro, accel = recorded.gyro_rad_s, recorded.accel_m_s2
-    preintegrate(recorded.imu_time_s, gyro, accel, at_s, excess_rad_s, turns, speeds)
-    return turns, speeds
+    preintegrate(recorded.imu_time_s, gyro, accel, at_s, excess_rad_s, rotations, speeds)
+    return rotations, speeds
 
 
 def _between(time_s: Floats, parts: int) -> Floats:
@@ -105,17 +106,17 @@ def _between(time_s: Floats, parts: int) -> Floats:
     return np.append(fine_s.ravel(), time_s[-1])
 
 
-def _path(q: Floats, turns: Floats, parts: int) -> Floats:
-    """Return the attitudes [M, 4]: each reference's, turned on until the next."""
+def _path(q: Floats, rotations: Floats, parts: int) -> Floats:
+    """Return the attitudes [M, 4]: each reference's, propagated until the next."""
     path = np.empty((len(q) - 1, parts, 4))
     path[:, 0] = q[:-1]
     for part in range(1, parts):
-        path[:, part] = multiply_columns(path[:, part - 1], turns[part - 1 :: parts])
+        path[:, part] = multiply_columns(path[:, part - 1], rotations[part - 1 :: parts])
     return np.vstack([path.reshape(-1, 4), q[-1:]])
 
 
 def _gaps(recorded: Recorded, at_s: Floats) -> npt.NDArray[np.bool_]:
-    """Return which intervals [N-1] are far longer than usual, or hold an IMU step that is."""
+    """Return which intervals [N-1] are far longer than usual, or contain such an IMU step."""
     imu_s = recorded.imu_time_s
     far = np.flatnonzero(_is_long(np.diff(imu_s)))
     holds = np.zeros(len(at_s) - 1, np.bool_)

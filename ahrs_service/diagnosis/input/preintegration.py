@@ -1,4 +1,4 @@
-"""Turn and velocity that an IMU gathers between two references (Forster et al. 2017, sec. V)."""
+"""Preintegrated rotation and velocity between two references (Forster et al. 2017, sec. V)."""
 
 import numpy as np
 
@@ -8,8 +8,8 @@ from ahrs_service.rotation import from_rotation_vector, multiply
 
 
 @kernel
-def _turned(q: Floats, x: float, y: float, z: float, out: Floats) -> None:
-    """Turn (x, y, z) by `q` [4] into `out` [3]."""
+def _rotate(q: Floats, x: float, y: float, z: float, out: Floats) -> None:
+    """Rotate (x, y, z) by `q` [4] into `out` [3]."""
     a = q[2] * z - q[3] * y + q[0] * x
     b = q[3] * x - q[1] * z + q[0] * y
     c = q[1] * y - q[2] * x + q[0] * z
@@ -25,15 +25,15 @@ def preintegrate(
     accel: Floats,
     at_s: Floats,
     excess: Floats,
-    turns: Floats,
+    rotations: Floats,
     speeds: Floats,
 ) -> None:
-    """Write the turn [N-1, 4] and velocity [N-1, 3] [m/s] gathered between instants `at_s` [N].
+    """Write rotation [N-1, 4] and velocity [N-1, 3] [m/s] preintegrated between `at_s` [N].
 
-    `imu_s` [M], `gyro` [M, 3] [rad/s] and `accel` [M, 3] [m/s^2] are linear between samples, and
-    `excess` [N-1, 3] [rad/s] is taken off the gyro in each interval; velocity in the body axes of
-    the interval's beginning. Midpoint rule over each piece between
-    samples: errors of second order in their step. The instants lie within `imu_s`.
+    `imu_s` [M], `gyro` [M, 3] [rad/s] and `accel` [M, 3] [m/s^2] are linear between samples;
+    `excess` [N-1, 3] [rad/s] is subtracted from the gyro in each interval. The velocity is in the
+    body axes at the start of the interval. Midpoint rule over each piece between samples: errors
+    of second order in the step. The instants lie within `imu_s`.
     """
     q, step = np.empty(4), np.empty(4)
     part, rate, force = np.empty(3), np.empty(3), np.empty(3)
@@ -57,10 +57,10 @@ def preintegrate(
             w, x, y, z = from_rotation_vector(rate[0] * half, rate[1] * half, rate[2] * half)
             step[0], step[1], step[2], step[3] = w, x, y, z
             multiply(q, step, q)
-            _turned(q, force[0], force[1], force[2], part)
+            _rotate(q, force[0], force[1], force[2], part)
             for j in range(3):
                 speeds[n, j] += part[j] * length
             multiply(q, step, q)
             now = stop
         for j in range(4):
-            turns[n, j] = q[j]
+            rotations[n, j] = q[j]

@@ -1,4 +1,4 @@
-"""The recording's reference on one grid: attitude, velocity, whether its rates are a witness."""
+"""The recording's reference on one grid: attitude, velocity, and independent rates if any."""
 
 from dataclasses import dataclass, field
 from typing import Final
@@ -13,30 +13,30 @@ from ahrs_service.records import Floats
 from ahrs_service.rotation import inverse_columns, multiply_columns, rotate_columns
 
 LEAST_REFERENCES: Final = 200
-"""Four seconds at 50 Hz: less holds no bias apart from noise."""
+"""Four seconds at 50 Hz: with fewer a bias is not separable from noise."""
 
-_JUMP_SIGMA: Final = 9.0  # Of Gaussian noise 2e-19 of the increments lie further off: see `jumps`
-_NEIGHBOURS: Final = 5  # The median of five is not moved by a jump that takes one or two intervals
+_JUMP_SIGMA: Final = 9.0  # Exceeded by 2e-19 of increments of Gaussian noise: see `jumps`
+_NEIGHBOURS: Final = 5  # The median of five is not affected by a jump of one or two intervals
 _LONGEST_EXCURSION_S: Final = 20.0
-"""A choice: longest stay away from the truth that is looked for between two jumps."""
-_RETURN_SHARE: Final = 0.4  # A choice: part of a jump that may be left after the jump back
-_STILL_M_S: Final = 1e-9  # A choice: a velocity of zeros, but for rounding
-_SELDOM: Final = 1.5
+"""A choice: longest excursion between a jump and the jump back."""
+_RETURN_SHARE: Final = 0.4  # A choice: share of a jump that may be left after the jump back
+_STILL_M_S: Final = 1e-9  # A choice: zero velocity within rounding
+_SPARSE: Final = 1.5
 """Half-way between a velocity as frequent as the attitude and one half as frequent."""
 _NEAR: Final = 20
-"""A choice: half of the 40 intervals near by that tell how rough the motion is there."""
+"""A choice: half of the 40 neighbouring intervals from which the roughness is estimated."""
 _ONCE: Final = 3.0
-"""A choice: 3 robust sigmas of the increments, which noise may add to what is left."""
+"""A choice: 3 robust sigmas of the increments, the allowance for noise in what is left."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reference:
     """What the IMU is compared with.
 
-    `time_s` [N]; `ned_from_body` [N, 4], without sign jumps; `velocity_ned_m_s` [N, 3], drawn
-    linearly between where it is told far more seldom, at the instants of `velocity`;
-    `rate_rad_s` [N, 3] where the reference measures it by itself (an encoder), else None;
-    `is_at_rest` where it says that the reference point never moves.
+    `time_s` [N]; `ned_from_body` [N, 4], without sign jumps; `velocity_ned_m_s` [N, 3],
+    interpolated linearly where it is reported far less often, at the instants of `velocity`;
+    `rate_rad_s` [N, 3] where the reference has its own sensor (an encoder), else None;
+    `is_at_rest` where the reference point never moves.
     """
 
     time_s: Floats
@@ -53,8 +53,8 @@ def reference_of(recorded: Recorded) -> Reference:
     inside = (time_s >= recorded.imu_time_s[0]) & (time_s <= recorded.imu_time_s[-1])
     if inside.sum() < LEAST_REFERENCES:
         raise DiagnosisError(
-            f"{recorded.name}: {int(inside.sum())} attitudes beside the IMU's samples are too few "
-            f"to compare with; record ATTITUDE_QUATERNION or ATTITUDE at 10 Hz or more"
+            f"{recorded.name}: only {int(inside.sum())} attitudes within the IMU's samples, too "
+            f"few to compare with; record ATTITUDE_QUATERNION or ATTITUDE at 10 Hz or more"
         )
     time_s, attitude = time_s[inside], _continuous(attitude[inside])
     if len(recorded.velocity_ned_m_s):
@@ -67,27 +67,27 @@ def reference_of(recorded: Recorded) -> Reference:
     else:
         velocity = np.full((len(time_s), 3), np.nan)
     rate = None
-    if len(recorded.body_rate_rad_s) and is_witness(recorded):
+    if len(recorded.body_rate_rad_s) and is_independent(recorded):
         rates = recorded.body_rate_rad_s
         rate = np.column_stack([np.interp(time_s, rates.time_s, c) for c in rates.values.T])
     is_at_rest = bool(np.nanmax(np.abs(velocity), initial=0.0) < _STILL_M_S) and bool(
         np.isfinite(velocity).all()
     )
-    seldom = _seldom(recorded.velocity_ned_m_s, time_s)
-    return Reference(time_s, attitude, velocity, rate, is_at_rest, seldom)
+    sparse = _sparse_velocity(recorded.velocity_ned_m_s, time_s)
+    return Reference(time_s, attitude, velocity, rate, is_at_rest, sparse)
 
 
-def _seldom(velocity: Series, time_s: Floats) -> Series:
-    """Return the velocity inside the span of the attitudes where it is told far more seldom."""
+def _sparse_velocity(velocity: Series, time_s: Floats) -> Series:
+    """Return the velocity inside the span of the attitudes if it is reported far less often."""
     inside = (velocity.time_s >= time_s[0]) & (velocity.time_s <= time_s[-1])
     if inside.sum() < 2:
         return Series()
     own = Series(velocity.time_s[inside], velocity.values[inside])
-    is_seldom = np.median(np.diff(own.time_s)) > _SELDOM * np.median(np.diff(time_s))
-    return own if is_seldom else Series()
+    is_sparse = np.median(np.diff(own.time_s)) > _SPARSE * np.median(np.diff(time_s))
+    return own if is_sparse else Series()
 
 
-def is_witness(recorded: Recorded) -> bool:
+def is_independent(recorded: Recorded) -> bool:
     """Whether the reference's body rates come from another sensor than this IMU.
 
     Rates that come from the same IMU carry its noise: the second difference of rate minus gyro is
@@ -106,7 +106,7 @@ def is_witness(recorded: Recorded) -> bool:
 
 
 def _continuous(attitude: Floats) -> Floats:
-    """Return the quaternions without changes of sign between neighbours, of unit length."""
+    """Return the unit quaternions without changes of sign between neighbours."""
     attitude = attitude / np.linalg.norm(attitude, axis=1, keepdims=True)
     flips = np.sum(attitude[1:] * attitude[:-1], axis=1) < 0.0
     signs = np.where(np.concatenate([[0], np.cumsum(flips)]) % 2 == 1, -1.0, 1.0)
@@ -114,7 +114,7 @@ def _continuous(attitude: Floats) -> Floats:
 
 
 def rotation_vectors(q: Floats) -> Floats:
-    """Return the rotation vectors [N, 3] [rad] of quaternions [N, 4], of turns below half one."""
+    """Return the rotation vectors [N, 3] [rad] of quaternions [N, 4], below 180 deg."""
     q = np.where(q[:, :1] < 0.0, -q, q)
     sine = np.linalg.norm(q[:, 1:], axis=1)
     angle = 2.0 * np.arctan2(sine, q[:, 0])
@@ -122,7 +122,7 @@ def rotation_vectors(q: Floats) -> Floats:
     return np.asarray(q[:, 1:] * scale[:, None])
 
 
-def turns(reference: Reference) -> Floats:
+def rotations(reference: Reference) -> Floats:
     """Return the rotation vectors [N-1, 3] [rad] between references, in body axes."""
     q = reference.ned_from_body
     return rotation_vectors(multiply_columns(inverse_columns(q[:-1]), q[1:]))
@@ -136,11 +136,11 @@ def body_vectors(ned_from_body: Floats, vectors_ned: Floats) -> Floats:
 def jumps(increments: Floats) -> npt.NDArray[np.bool_]:
     """Return which of the increments [N, M] of a misfit are jumps of the reference.
 
-    A jump stands alone among its neighbours, nine robust sigmas away from their median: of
-    Gaussian noise one in 1e18 does. A real misfit of the IMU lasts longer than one interval, so
-    sigma is that of second differences (of white noise sqrt(6) of it), which leave it out; and it
-    is that of any 40 intervals near by where these are rougher than the rest: in hard manoeuvres
-    what the reference lags and the IMU lacks is as rough as they are.
+    A jump differs from the median of its neighbours by nine robust sigmas, which one increment of
+    Gaussian noise in 1e18 does. A real misfit of the IMU lasts longer than one interval, so sigma
+    is taken from second differences (sqrt(6) times that of white noise), which exclude it. Where
+    40 intervals nearby are rougher than the rest their sigma is used: in hard manoeuvres the lag of
+    the reference and the errors of the IMU are as rough as the motion.
     """
     size = (min(_NEIGHBOURS, len(increments) | 1), 1)
     apart = np.abs(increments - median_filter(increments, size=size, mode="nearest"))
@@ -162,9 +162,9 @@ def excursions(
 ) -> npt.NDArray[np.bool_]:
     """Return which of the intervals lie between a jump and the jump back.
 
-    `increments` [N, 3 or 6] angle and velocity. Back is what takes both back: the angle in these
-    axes or, with `ned_from_body` [N, 4] given, in those of the body, which has turned meanwhile. A
-    filter steps whenever it is aided, but one step does not undo another.
+    `increments` [N, 3 or 6] angle and velocity. A jump back reverses both: the angle in these
+    axes or, with `ned_from_body` [N, 4] given, in those of the body, which has rotated meanwhile. A
+    filter also steps at each aiding update, but one step does not reverse another.
     """
     within = np.zeros(len(increments), np.bool_)
     places = np.flatnonzero(jumped)

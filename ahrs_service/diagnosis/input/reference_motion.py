@@ -1,4 +1,4 @@
-"""The ideal motion and the covariates that effects act on, on the grid of a comparison."""
+"""The ideal motion and the covariates that effects depend on, on the grid of a comparison."""
 
 import math
 from dataclasses import replace
@@ -21,17 +21,17 @@ GRAVITY_NED: Final = np.array([0.0, 0.0, STANDARD_GRAVITY_M_S2])
 """Gravity [3] [m/s^2] in axes north, east, down; standard, not local."""
 
 MOTION_HZ: Final = 7.0
-"""Vehicles of these sizes turn slower than this, motors shake faster."""
+"""Rotation of vehicles of these sizes is below this, motor vibration above."""
 
-WITNESSED_HZ: Final = 3.0
-"""The same of a reference whose slope is noisy: the hard manoeuvres are slower than this."""
+REFERENCE_HZ: Final = 3.0
+"""The same for a reference with a noisy derivative: hard manoeuvres are below this."""
 
 _SLOPE_S: Final = 8.0
-"""Span of the parabolas whose slope is the temperature's: beside the 0.01 degC steps at 10 Hz its
-error is 1e-4 degC/s, and at the ends, where a warm-up is steepest, it has no bias."""
+"""Span of the parabolas that give the temperature's slope: with 0.01 degC steps at 10 Hz its error
+is 1e-4 degC/s, and at the ends, where a warm-up is steepest, it has no bias."""
 
 _SMOOTH_S: Final = 0.5
-"""Width over which airspeed, vibration and current are smoothed against their own noise."""
+"""Width over which airspeed and current are smoothed to reduce their noise."""
 
 
 def _smoothed(series: Series, width_s: float) -> Series:
@@ -52,40 +52,40 @@ def _slope(series: Series) -> Series:
 
 
 def _vibration(series: Series) -> Series:
-    """Return one level for the board: the mean of its three axes."""
+    """Return one vibration level for the board: the mean of its three axes."""
     if not len(series):
         return series
-    return _smoothed(Series(series.time_s, series.values.mean(axis=1)), _SHAKEN_S)
+    return _smoothed(Series(series.time_s, series.values.mean(axis=1)), _VIBRATION_S)
 
 
 def _altitude(velocity: Series) -> Series:
-    """Return the height climbed since the beginning, the reference's vertical speed integrated."""
+    """Return the height above the start: the reference's vertical speed integrated."""
     if not len(velocity):
         return velocity
     climbed = cumulative_trapezoid(-velocity.values[:, 2], velocity.time_s, initial=0.0)
     return Series(velocity.time_s, climbed)
 
 
-_SHAKEN_S: Final = 0.15
+_VIBRATION_S: Final = 0.15
 """The same for vibration, which follows the motors within tenths of a second."""
 
 _SCATTER_S: Final = 0.5
-"""A choice: sigma of a Gauss window, so that a second around an instant counts."""
+"""A choice: sigma of a Gaussian window, about a second wide."""
 _MOVING_SHARE: Final = 0.9
-"""Of what moves 97 % and more of the power is in both (see `moving`); a choice below that."""
-_SLOWER_HZ: Final = (WITNESSED_HZ, 1.0, 0.5)
-"""A choice: what is tried below MOTION_HZ, first what a noisy reference tells."""
-_FLOOR_HZ: Final = (WITNESSED_HZ, 20.0)
-"""Between motion, slower than WITNESSED_HZ, and the airframe's vibration; 20 Hz is a choice."""
+"""Of real motion 97 % and more of the power is in both (see `moving`); a choice below that."""
+_SLOWER_HZ: Final = (REFERENCE_HZ, 1.0, 0.5)
+"""A choice: cutoffs tried below MOTION_HZ, first that of a noisy reference."""
+_FLOOR_HZ: Final = (REFERENCE_HZ, 20.0)
+"""Between motion, slower than REFERENCE_HZ, and the airframe's vibration; 20 Hz is a choice."""
 _FLOOR_SEGMENT_S: Final = 4.0  # A choice: 68 frequencies, 0.25 Hz apart, lie between 3 and 20 Hz
 _FLOOR_QUANTILE: Final = 0.1
-"""A choice: the lowest seven of 68; what it is too low is divided out by chi-squared."""
+"""A choice: the lowest seven of 68; chi-squared corrects the low bias."""
 
 
 def covariates(
     recorded: Recorded, time_s: Floats, rate: Floats, force: Floats, attitude: Floats
 ) -> Columns:
-    """Return the columns of a motion at `time_s` [N] with what was recorded beside it."""
+    """Return the columns of a motion at `time_s` [N] with the other recorded quantities."""
     spline = CubicSpline(time_s, rate)
     return Columns(
         time_s=time_s,
@@ -108,7 +108,7 @@ def covariates(
 def slow_motion(
     time_s: Floats, values: Floats, at_s: Floats, cutoff_hz: float = MOTION_HZ
 ) -> Floats:
-    """Return `values` [N, M] without what is faster than the cutoff, without delay, at `at_s`."""
+    """Return `values` [N, M] low-passed at the cutoff without delay, at `at_s`."""
     rate_hz = (len(time_s) - 1) / (time_s[-1] - time_s[0])
     if rate_hz > 2.5 * cutoff_hz:
         sections = butter(6, cutoff_hz, fs=rate_hz, output="sos")
@@ -117,14 +117,14 @@ def slow_motion(
 
 
 def ends(readings: Floats) -> tuple[Floats, Floats]:
-    """Return the largest of |readings| [M], and how many lie within 1e-5 of it."""
+    """Return the largest of |readings| [M], and how many are within a factor 1e-5 of it."""
     sizes = np.abs(readings)
     largest = sizes.max(axis=0)
     return largest, np.sum(sizes >= largest * (1.0 - 1e-5), axis=0).astype(np.float64)
 
 
 def scatter(time_s: Floats, readings: Floats, slow: Floats, at_s: Floats) -> Floats:
-    """Return the 1-sigma [N, M] of `readings` about their slow part, over a second, at `at_s`."""
+    """Return the 1-sigma [N, M] of `readings` about `slow` over a second, at `at_s`."""
     step_s = (time_s[-1] - time_s[0]) / (len(time_s) - 1)
     square = gaussian_filter1d((readings - slow) ** 2, _SCATTER_S / step_s, axis=0, mode="nearest")
     sigma = np.sqrt(np.maximum(square, 0.0))
@@ -135,8 +135,9 @@ def density(time_s: Floats, readings: Floats) -> float:
     """Return the white noise density [unit/sqrt(Hz), two-sided] of readings [N, 3].
 
     The floor of their spectrum between motion, which is slower, and vibration, which is faster:
-    the lowest tenth between 3 and 20 Hz, over that of chi-squared of two numbers per axis. Of
-    spectra of 4 s each the lowest tenth again, for in motion there is no floor.
+    the 10 % quantile between 3 and 20 Hz, divided by that of chi-squared with two degrees of
+    freedom per axis. Of the spectra of 4 s each, again the 10 % quantile: hard motion hides the
+    floor.
     """
     rate_hz = (len(time_s) - 1) / (time_s[-1] - time_s[0])
     length = int(_FLOOR_SEGMENT_S * rate_hz)
@@ -152,8 +153,8 @@ def density(time_s: Floats, readings: Floats) -> float:
     return float(np.sqrt(0.5 * np.quantile(floors, _FLOOR_QUANTILE)))
 
 
-def witnessed(reference: Reference, like: Columns) -> Columns:
-    """Return `like` with rate and force of the reference alone: noisier, but not of the IMU."""
+def motion_of_reference(reference: Reference, like: Columns) -> Columns:
+    """Return `like` with rate and force of the reference alone: noisier, but independent."""
     time_s = reference.time_s
     spline = CubicSpline(time_s, reference.ned_from_body)
     q, q_dot = spline(time_s), spline(time_s, 1)
@@ -161,7 +162,7 @@ def witnessed(reference: Reference, like: Columns) -> Columns:
     acceleration = CubicSpline(time_s, reference.velocity_ned_m_s)(time_s, 1)
     force = body_vectors(reference.ned_from_body, acceleration - GRAVITY_NED)
     rate, force = (
-        slow_motion(time_s, values, like.time_s, WITNESSED_HZ) for values in (rate, force)
+        slow_motion(time_s, values, like.time_s, REFERENCE_HZ) for values in (rate, force)
     )
     return replace(
         like,
@@ -172,11 +173,11 @@ def witnessed(reference: Reference, like: Columns) -> Columns:
 
 
 def moving(read: Columns, seen: Columns) -> Columns:
-    """Return the motion `read` by the IMU as far as the reference has `seen` it too.
+    """Return the motion `read` by the IMU at the frequencies where the reference has `seen` it too.
 
-    What is noise in a reading would as a regressor explain itself: a scale factor of 1. Of what
-    moves, 97 % and more of the power is in both. An axis on which vibration rivals the motion is
-    followed as fast as the two agree, one on which they never do is at rest.
+    Noise in a reading used as a regressor would explain itself, as a scale factor of 1. Of real
+    motion 97 % and more of the power is in both. Where vibration is as large as the motion the axis
+    is low-passed to where the two agree; an axis on which they never agree is assumed at rest.
     """
     time_s = read.time_s
     rate, force = (
@@ -191,7 +192,7 @@ def moving(read: Columns, seen: Columns) -> Columns:
 
 
 def _followed(time_s: Floats, here: Floats, there: Floats) -> Floats:
-    """Return `here` [N] as it is, slower, or constant: the fastest that `there` [N] agrees with."""
+    """Return `here` [N] at the highest cutoff at which `there` [N] agrees, else its mean."""
     apart = there - there.mean()
     for cutoff_hz in (MOTION_HZ, *_SLOWER_HZ):
         slower = here if cutoff_hz == MOTION_HZ else slow_motion(time_s, here, time_s, cutoff_hz)

@@ -1,4 +1,4 @@
-"""Rows at which a velocity is measured that is told more seldom than the attitude."""
+"""Rows with a velocity measurement, where velocity is reported less often than attitude."""
 
 from dataclasses import dataclass
 
@@ -14,8 +14,8 @@ Places = npt.NDArray[np.intp]
 class Instants:
     """Instants of a measurement, one for each of the `rows` [K] nearest to them.
 
-    `taken` [K] which of the measurements they are; they lie behind the instants `before` [K] of a
-    finer grid by `share` [K] of its step. `count` how many rows there are.
+    `taken` [K] the index of the measurement; it is later than instant `before` [K] of a finer
+    grid by `share` [K] of the grid's step. `count` the number of rows.
     """
 
     rows: Places
@@ -37,7 +37,7 @@ class Instants:
 
 
 def instants_on(rows_s: Floats, fine_s: Floats, at_s: Floats) -> Instants:
-    """Return where measurements at `at_s` lie on rows at `rows_s` and on the grid `fine_s`."""
+    """Return the places of measurements at `at_s` on rows at `rows_s` and on the grid `fine_s`."""
     edges = 0.5 * (rows_s[1:] + rows_s[:-1])
     rows, taken = np.unique(np.searchsorted(edges, at_s), return_index=True)
     before = np.clip(np.searchsorted(fine_s, at_s[taken], "right") - 1, 0, len(fine_s) - 2)

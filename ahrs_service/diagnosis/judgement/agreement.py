@@ -1,4 +1,4 @@
-"""Whether the parts of a recording agree on what was fitted to all of it."""
+"""Whether the parts of a recording agree on parameters fitted to all of it."""
 
 from typing import Final
 
@@ -13,13 +13,13 @@ from ahrs_service.records import Floats
 
 _BLOCKS: Final = 12  # A choice: 11 degrees of freedom for each number
 _SURE: Final = 1e-3
-"""A choice: noise that the model describes is called scattered once in a thousand terms."""
+"""A choice: with noise as modelled, one term in a thousand is called inconsistent."""
 _EXCITED: Final = 0.01
-"""A choice: of a number's information, an eighth of a block's even share: less tells nothing."""
+"""A choice: least share of a parameter's information that counts, an eighth of an even share."""
 
 
 def scatter_of_term(residual: Residual, model: Model, place: int) -> float:
-    """Return by how much blocks of the recording contradict each other on the numbers of a term."""
+    """Return by how much blocks of the recording disagree on the parameters of a term."""
     numbers = free_numbers(model.terms)
     first = model.base.shape[2] - len(numbers)
     own = [first + n for n, number in enumerate(numbers) if number.term == place]
@@ -27,22 +27,22 @@ def scatter_of_term(residual: Residual, model: Model, place: int) -> float:
 
 
 def scatter_of_unknown(residual: Residual, model: Model, unknown: Dependence) -> float:
-    """Return the same on an unknown dependence."""
+    """Return the same for an unknown dependence."""
     first = model.base.shape[2] - len(free_numbers(model.terms)) - len(model.unknown)
     own = [first + n for n, one in enumerate(model.unknown) if one == unknown]
     return scatter(residual, model, own)
 
 
 def scatter(residual: Residual, model: Model, columns: list[int]) -> float:
-    """Return by how much blocks of the recording contradict each other, 1 where they do not.
+    """Return by how much blocks of the recording disagree, 1 where they agree.
 
-    `columns` of the model's base. With G_b the Gram matrix of these columns, freed of all others,
-    in block b and s_b their product with the innovations left there (whose sum is zero), the sum
-    of s_b' G_b^-1 s_b is chi-squared with (blocks - 1) K degrees of freedom where the noise is what
-    the model says. Where it is larger by more than chance (one in a thousand), the ratio of the two
-    is that of true variances to those of the model, as of Birge's for measurements that scatter
-    more than they claim (Birge, Phys. Rev. 40, 207, 1932): noise that is not white, heavy tails,
-    or numbers that are not the same throughout.
+    `columns` of the model's base. With G_b the Gram matrix of these columns in block b after all
+    others are projected out, and s_b their product with the innovations there (whose sum is zero),
+    the sum of s_b' G_b^-1 s_b is chi-squared with (blocks - 1) K degrees of freedom if the noise
+    is as modelled. Where it is larger than chance allows (one in a thousand), the ratio of the sum
+    to the degrees of freedom is the ratio of true to modelled variances, as Birge's ratio for
+    measurements that scatter more than their sigmas (Birge, Phys. Rev. 40, 207, 1932). Causes are
+    noise that is not white, heavy tails, or parameters that vary in time.
     """
     rows = np.concatenate([model.base, model.misfit[:, :, None]], axis=2)
     white, _ = residual.whiten(model.noise, rows)

@@ -1,7 +1,7 @@
-"""What the truth of a recording gains, where it is known: an oracle beside what was found.
+"""The findings compared with an oracle that knows the truth of a recording.
 
-The oracle has the true effects at their true numbers and the noise that is left then; what was
-found is scored under the same noise on the same held-out blocks.
+The oracle has the true effects with their true parameters, and the noise fitted with them; the
+findings are scored under the same noise on the same held-out blocks.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ TRIADS = ("gyro", "accel")
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What a recording is known to hold: `effects` with their numbers, and `outside` in words."""
+    """The effects known to be in a recording: with parameters, or (`outside`) in words."""
 
     effects: Sequence[tuple[Effect, Values]]
     outside: tuple[str, ...] = ()
@@ -35,12 +35,12 @@ def beside_truth(residual: Residual, bare: Model, found: Model, truth: Truth) ->
         why = missing_covariate(effect, residual.columns)
         if why is not None:
             raise DiagnosisError(
-                f"the truth holds {effect.id}, but {why}; give this recording's truth"
+                f"the truth contains {effect.id}, but {why}; give this recording's truth"
             )
     terms = tuple(Term(effect, dict(values)) for effect, values in truth.effects)
     model = _with_true_numbers(residual, bare, terms)
     run = free_run(residual, bare, model)
-    # Gains are comparable under one noise: that which is left when the truth is taken out.
+    # Gains are comparable only under one noise: the one fitted with the true effects removed.
     same = replace(found, noise=model.noise)
     return Oracle(
         tuple(TrueEffect(effect.id, _plain(values)) for effect, values in truth.effects),

@@ -1,7 +1,7 @@
-"""Which effects a recording cannot tell apart: by how it came out, and by what was to be expected.
+"""Which effects a recording cannot separate: by the gains found, and by those to be expected.
 
-Chance may part two hypotheses that the excitation does not. So a class holds also what would stand
-in for the effect nearly as well on the average of all recordings of this excitation.
+Noise may favour one of two hypotheses that the excitation does not separate. A class therefore also
+contains the effects that would fit nearly as well on average over recordings of this excitation.
 """
 
 from typing import Final
@@ -13,32 +13,33 @@ from ahrs_service.diagnosis.hypotheses.score_test import gain_of, grams, screen
 from ahrs_service.diagnosis.input.misfit import Residual
 
 ALIKE: Final = 4.0
-"""Difference [nats] of surprise, gain or expected gain below which two hypotheses are not told
-apart: odds of 50."""
+"""Difference [nats] of surprise, gain or expected gain below which two hypotheses are not
+separated: odds of 50."""
 
 SHARE_OF_MAIN: Final = 0.004
-"""Of a gain, what is beyond telling at any size: so well are response and motion known."""
+"""Share of a gain that is never significant: response and motion are known no better."""
 
 _EXPECTED_SHARE: Final = 0.25
-"""A choice: of a gain below 16 nats (ALIKE over it), what another may lose and still stand in."""
+"""A choice: share of a gain below 16 nats (ALIKE over it) that another effect may lose and still
+count as alike."""
 TRIED: Final = 5
-"""A choice: hypotheses, best screened first, that are fitted; the search takes as many."""
+"""A choice: how many hypotheses are fitted, in the order of screening; as many in the search."""
 _WORTH: Final = 0.4
-"""Of the screened surprise, from which a rival is worth its fit. Searched from 0.2 to 0.8: flat, on
+"""Share of the screened surprise from which a rival is fitted. Searched from 0.2 to 0.8: flat, on
 the four blind recordings that forward_search._CLOSE names."""
 _ALIKE_SHARE: Final = 0.7
-"""Of the surprise fitted, from which a rival's noise is fitted too. Searched from 0.35 to 0.9:
+"""Share of the fitted surprise from which a rival's noise is fitted too. Searched from 0.35 to 0.9:
 flat, on the same."""
 
 
 def expected_losses(
     residual: Residual, library: Library, shorter: Model, model: Model, place: int
 ) -> dict[str, float]:
-    """Return what each hypothesis would gain less than a term of `model`, were that the truth.
+    """Return how much less each hypothesis would gain than a term of `model`, were that the truth.
 
     The gain [nats] of a hypothesis h for a response s is half the square of s projected on the
-    responses of h, whitened and beside the nuisances of `shorter`: its mean over the noise, but
-    for half a nat per number. Nonlinear parameters as searched over.
+    responses of h, whitened and with the nuisances of `shorter` fitted: its mean over the noise,
+    less half a nat per parameter. Nonlinear parameters are those of the search grid.
     """
     others = model.terms[:place] + model.terms[place + 1 :]
     added = added_rows(residual, model.terms) - added_rows(residual, others)
@@ -81,7 +82,7 @@ def alike(
         other = _fitted(residual, library, shorter, candidate, mine.surprise)
         if rival is None or other.gain > rival[1]:
             rival = (candidate.name, other.gain)
-        # Chance prefers the one with fewer numbers; the data do not, where both fit as well.
+        # The surprise favours fewer parameters; where both fit equally well the data do not.
         more = max(other.surprise - step.surprise, other.gain - step.gain)
         if more > -reach and (value, candidate.name) not in same:
             same.append((value, candidate.name))
@@ -92,7 +93,7 @@ def alike(
 def _fitted(
     residual: Residual, library: Library, shorter: Model, candidate: Candidate, against: float
 ) -> Step:
-    """Return a rival fitted, with its noise too where it comes near the surprise `against`."""
+    """Return a rival fitted, with its noise too where it comes close to the surprise `against`."""
     other = extend(residual, library, shorter, candidate, has_noise=False)
     if other.surprise > _ALIKE_SHARE * against:
         other = extend(residual, library, shorter, candidate, has_noise=True)

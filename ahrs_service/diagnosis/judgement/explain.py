@@ -18,7 +18,7 @@ def _amount(sizes: Floats) -> str:
 
 
 def explanation(term: Term, sizes: Floats, alike: tuple[str, ...]) -> str:
-    """Return the sentence of a term whose part of each channel has these rms sizes [6]."""
+    """Return the sentence for a term that adds these rms sizes [6] to the channels."""
     effect = term.effect
     channel = int(np.argmax(sizes / np.array([*3 * [1.0], *3 * [10.0]])))
     axis = "xyz"[channel % 3]

@@ -1,4 +1,4 @@
-"""What findings gain on parts of the recording that they were not fitted to."""
+"""The gain of findings on parts of the recording that they were not fitted to."""
 
 import math
 from itertools import pairwise
@@ -17,18 +17,18 @@ from ahrs_service.rotation import rotate_columns
 
 Places = npt.NDArray[np.intp]
 
-_BLOCKS: Final = 6  # A choice: each fit has five sixths of the recording, but for the gaps
+_BLOCKS: Final = 6  # A choice: each fit uses five sixths of the recording, less the gaps
 _GAP_S: Final = 5.0  # About one correlation time of the reference's error (first guesses 6 and 4 s)
 _SLOW_HZ: Final = 0.05  # A choice: the slow part of a residual is its mean over 20 s
-_STAYS: Final = 1e-6  # A choice: the prior's sigma as a share of the limit, so small that it stays
-_LEAST_SIZE: Final = 1e-12  # A choice: keeps a number that is zero from dividing by zero
+_STAYS: Final = 1e-6  # A choice: the prior's sigma as a share of the limit, which fixes the limit
+_LEAST_SIZE: Final = 1e-12  # A choice: avoids a division by zero
 _FREE_RUN_S: Final = 60.0  # A choice: a minute, as the report calls it
 _FREE_RUN_STARTS: Final = 200
-"""A choice: were they independent, their rms would be known to 5 % (1 / sqrt(2 * 200))."""
+"""A choice: if they were independent, their rms would be known to 5 % (1 / sqrt(2 * 200))."""
 
 
 def _folds(residual: Residual) -> list[tuple[Places, Places]]:
-    """Return per contiguous block the rows held out and those fitted to, with a gap between."""
+    """Return, per contiguous block, the rows held out and the rows fitted, with a gap between."""
     edges = np.linspace(residual.time_s[0], residual.time_s[-1] + 1e-9, _BLOCKS + 1)
     there = residual.missing == 0.0
     folds = []
@@ -63,12 +63,12 @@ def _fitted(white: Floats, rows: Places, prior: Floats) -> Floats:
 
 
 def _sizes(model: Model) -> Floats:
-    """Return the prior [B+1, B+1] of a model's numbers: as large as the whole recording has them.
+    """Return the prior [B+1, B+1] of a model's parameters: sigma is their size in the whole fit.
 
-    About zero the linear ones, about what they are the forms. Blocks that tell nothing of a number
-    (of a warm-up, all but the first) then predict nothing of it, instead of anything. A limit
-    stays where the readings of the whole recording end: what it adds bends there, and a block
-    that only comes near it would move it anywhere.
+    Centred on zero for linear parameters, on the fitted value for nonlinear ones. Blocks without
+    information on a parameter (for a warm-up, all but the first) then predict zero for it rather
+    than an arbitrary value. A saturation limit is fixed at the fitted value: its response has a
+    kink there, and a block that only comes close to it does not determine it.
     """
     prior, numbers = np.zeros_like(model.prior), free_numbers(model.terms)
     last = len(prior) - 1
@@ -93,9 +93,9 @@ def held_out(
 ) -> Holdout:
     """Return what `after` gains over `before` block by block, each block left out of its fit.
 
-    Both are fitted to the other blocks under the noise of `after` and score the innovations of
-    the block. Nonlinear parameters move with the linear ones, by their derivatives; none does
-    where `after` `has_fixed` numbers.
+    Both are fitted to the other blocks under the noise of `after` and scored by the innovations of
+    the block. Nonlinear parameters are refitted with the linear ones, by their derivatives; with
+    `has_fixed` no parameter of `after` is.
     """
     count = bias_rows(residual).shape[2]
     numbers = [] if has_fixed else free_numbers(after.terms)
@@ -138,7 +138,7 @@ def _bias(model: Model, residual: Residual) -> Floats:
 
 
 def free_run(residual: Residual, before: Model, after: Model) -> FreeRun | None:
-    """Return the attitude error that the gyro alone gathers in 60 s, rms over many starts."""
+    """Return the attitude error after 60 s of integrating the gyro alone, rms over many starts."""
     time_s = residual.time_s
     step_s = (time_s[-1] - time_s[0]) / (len(time_s) - 1)
     length = round(_FREE_RUN_S / step_s)
@@ -153,6 +153,6 @@ def free_run(residual: Residual, before: Model, after: Model) -> FreeRun | None:
         left = residual.body - added_body(residual, model.terms) - _bias(model, residual)
         left[residual.missing != 0.0] = 0.0
         angle = np.cumsum(rotate_columns(attitude, left[:, :3]) * step_s, axis=0)
-        gathered = np.linalg.norm(angle[starts + length] - angle[starts], axis=1)
-        errors.append(math.degrees(float(np.sqrt(np.mean(gathered**2)))))
+        drift = np.linalg.norm(angle[starts + length] - angle[starts], axis=1)
+        errors.append(math.degrees(float(np.sqrt(np.mean(drift**2)))))
     return FreeRun(*errors)

@@ -1,17 +1,17 @@
-"""How well the numbers of a model are known, beyond what one noise and one form say.
+"""Uncertainty of a model's parameters, beyond that of one noise model and one response form.
 
-The covariance of a fit holds for the noise that was fitted, were it of just this kind, and for the
-form that was fitted. Three things make it larger:
+The covariance of a fit is valid for the fitted noise, if the noise is of that kind, and for the
+fitted form of the response. Three things make it larger:
 
-- the noise itself is known from the data alone: `marginal_covariance`;
-- noise of another kind, or numbers that are not the same throughout: parts of the recording then
-  contradict each other by more than the noise says, `covariance_by_blocks`;
-- nature's form is not the model's: another order of a filter explains as much, or the parameter
-  names by how much forms of one kind differ (`Parameter.form_share`).
+- the noise itself is estimated from the data: `marginal_covariance`;
+- noise of another kind, or parameters that vary in time: parts of the recording then disagree by
+  more than the noise allows, `covariance_by_blocks`;
+- the true form differs from the model's: another filter order explains as much, or the
+  parameter states by how much forms of one kind differ (`Parameter.form_share`).
 
-Of 300 numbers fitted to single effects of all kinds the first covariance held 92.7 % within 1.96
-sigma, with the noise's posterior 93.0 %, with the larger of that and the blocks' 94.7 %. What a
-search has chosen lies further off: `CHOSEN`.
+Of 300 parameters fitted to single effects of all kinds, 92.7 % lay within 1.96 sigma of the first
+covariance, 93.0 % with the posterior of the noise, and 94.7 % with the larger of that and the
+blocks'. Parameters chosen by a search err by more: `CHOSEN`.
 """
 
 from typing import Final
@@ -24,19 +24,19 @@ from ahrs_service.diagnosis.hypotheses.model import Model, free_numbers, settle
 from ahrs_service.diagnosis.input.misfit import Residual
 from ahrs_service.records import Floats
 
-_AWAY: Final = np.sqrt(3.0)  # Outer points of Gauss and Hermite's three [sigma]
+_AWAY: Final = np.sqrt(3.0)  # Outer points of three-point Gauss-Hermite quadrature [sigma]
 _SIDE: Final = 1.0 / 6.0  # and their weight
 
 CHOSEN: Final = 1.1
-"""Calibrated on 497 numbers that whole searches found in 242 blind recordings: 62 and 91 % of them
+"""Calibrated on 497 parameters found by whole searches in 242 blind recordings: 62 and 91 % of them
 lay within 1 and 1.96 sigma without it, 68 and 94 % with it."""
 
 _BLOCKS: Final = 20
-"""Of 10, 20 and 30 blocks the one by which the errors' rms was 1.00 sigma."""
+"""Of 10, 20 and 30 blocks, the number for which the rms error was 1.00 sigma."""
 
 
 def variances(residual: Residual, model: Model) -> Floats:
-    """Return the variances [P] of the terms' free numbers, in the order of `free_numbers`."""
+    """Return the variances [P] of the free parameters, in the order of `free_numbers`."""
     numbers = free_numbers(model.terms)
     if not numbers:
         return np.zeros(0)
@@ -66,9 +66,9 @@ def marginal_covariance(residual: Residual, model: Model) -> Floats:
 
         Cov(x) = E[Cov(x | noise)] + Cov(E[x | noise])
 
-    over the noise's posterior. It is Gaussian about the noise fitted by its information (Laplace);
-    each of its principal axes is integrated over by Gauss and Hermite's three points (Abramowitz,
-    Stegun, table 25.10), weighed by what the posterior really is there.
+    over the noise's posterior. This is approximated by a Gaussian about the fitted noise with its
+    information matrix (Laplace); along each principal axis it is integrated by three-point
+    Gauss-Hermite quadrature (Abramowitz, Stegun, table 25.10), weighted by the true posterior.
     """
     count = len(free_numbers(model.terms))
     posterior = Posterior(residual, _rows(model), model.prior)
@@ -99,10 +99,10 @@ def _spread(points: list[tuple[float, Fit]], count: int) -> Floats:
 
 
 def covariance_by_blocks(residual: Residual, model: Model) -> Floats:
-    """Return the covariance [P, P] that the scatter between parts of the recording tells.
+    """Return the covariance [P, P] estimated from the scatter between parts of the recording.
 
-    A (sum of s_b s_b') A n / (n - 1), A the covariance under the noise, s_b the score of block b,
-    whatever the noise is within blocks (Liang, Zeger 1986; the factor Cameron, Miller 2015).
+    A (sum of s_b s_b') A n / (n - 1), A the covariance under the noise, s_b the score of block b;
+    valid for any noise within blocks (Liang, Zeger 1986; the factor Cameron, Miller 2015).
     """
     count = len(free_numbers(model.terms))
     white, _ = residual.whiten(model.noise, _rows(model))
@@ -117,10 +117,10 @@ def covariance_by_blocks(residual: Residual, model: Model) -> Floats:
 
 
 def _between_orders(residual: Residual, model: Model) -> Floats:
-    """Return what another whole number of a term's form adds to the variances [P].
+    """Return what other integer orders of a term's form add to the variances [P].
 
-    Each is fitted under the same noise; the distance of its numbers counts by the share that its
-    likelihood gives it.
+    Each is fitted under the same noise; the squared difference of its parameters is weighted by
+    its relative likelihood.
     """
     added = np.zeros(len(free_numbers(model.terms)))
     for place, term in enumerate(model.terms):

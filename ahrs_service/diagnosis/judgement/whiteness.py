@@ -1,4 +1,4 @@
-"""Whether the innovations of a model are what its noise says: white and normal."""
+"""Whether the innovations of a model are white and Gaussian, as its noise model requires."""
 
 from typing import Final
 
@@ -13,11 +13,11 @@ from ahrs_service.records import Floats
 
 _LAGS: Final = 20  # A choice: two seconds of rows 0.1 s apart
 _GLITCH_SIGMA: Final = 5.0
-"""Of 8000 Gaussian innovations 0.005 lie beyond it: what does is a glitch."""
+"""Of 8000 Gaussian innovations 0.005 lie beyond it: larger ones are glitches."""
 
 
 def innovations(residual: Residual, model: Model) -> Floats:
-    """Return the whitened innovations [N, 6] of a model, rows without reference left out."""
+    """Return the whitened innovations [N, 6] of a model, without rows that lack a reference."""
     found = fit(residual, model.noise, model.base, model.misfit, model.prior)
     rows = np.concatenate([model.base, model.misfit[:, :, None]], axis=2)
     white, _ = residual.whiten(model.noise, rows)
@@ -26,7 +26,7 @@ def innovations(residual: Residual, model: Model) -> Floats:
 
 
 def whiteness(residual: Residual, model: Model) -> Whiteness:
-    """Return the p-values of Ljung and Box's and of Jarque and Bera's test per channel."""
+    """Return the p-values of the Ljung-Box and Jarque-Bera tests per channel."""
     # Where a channel was not measured its innovation is zero.
     left = [column[column != 0.0] for column in innovations(residual, model).T]
     return Whiteness(

@@ -1,1 +1,1 @@
-"""What the misfit would be without left-out physics: its noise and likelihood."""
+"""The misfit without missing physics: its noise and likelihood."""

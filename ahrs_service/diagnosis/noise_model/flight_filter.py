@@ -1,7 +1,7 @@
-"""Kernels that whiten the misfit of a flight: the filter's gains once, then any number of columns.
+"""Kernels that whiten the misfit of a flight: filter gains once, then any number of columns.
 
-The gains of a Kalman filter depend on the noise alone (see diagnosis.kalman), so they are computed
-once per noise; with them whitening a further column costs little.
+The gains of a Kalman filter depend only on the noise (see noise_model.kalman), so they are computed
+once per noise; whitening a further column with them costs little.
 """
 
 import math
@@ -19,16 +19,16 @@ _LANES = 32
 """Columns that are whitened together: their states stay in the nearest cache."""
 
 _STRIDE = 8
-"""Lanes come in multiples of this, so that no loop over them has a rest."""
+"""Lanes are padded to a multiple of this, which avoids remainder loops."""
 
 
 @kernel
 def _propagate(
-    p: Floats, turn: Floats, tilt: Floats, keeps: Floats, drive: Floats, step_s: float
+    p: Floats, rotation: Floats, tilt: Floats, keeps: Floats, drive: Floats, step_s: float
 ) -> None:
     """P <- F P F' + Q with F = D (1 + C), `keeps` [18] the diagonal of D."""
     for i in range(3):
-        w0, w1, w2 = turn[i, 0] * step_s, turn[i, 1] * step_s, turn[i, 2] * step_s
+        w0, w1, w2 = rotation[i, 0] * step_s, rotation[i, 1] * step_s, rotation[i, 2] * step_s
         t0, t1, t2 = tilt[i, 0], tilt[i, 1], tilt[i, 2]
         for k in range(STATES):
             p[3 + i, k] += w0 * p[6, k] + w1 * p[7, k] + w2 * p[8, k]
@@ -41,9 +41,9 @@ def _propagate(
                 + t1 * p[1, k]
                 + t2 * p[2, k]
             )
-    # Of the columns only those where integrals meet integrals; the others mirror the rows.
+    # Only the columns between integrals are computed; the others follow by symmetry.
     for i in range(3):
-        w0, w1, w2 = turn[i, 0] * step_s, turn[i, 1] * step_s, turn[i, 2] * step_s
+        w0, w1, w2 = rotation[i, 0] * step_s, rotation[i, 1] * step_s, rotation[i, 2] * step_s
         t0, t1, t2 = tilt[i, 0], tilt[i, 1], tilt[i, 2]
         for j in range(3):
             p[3 + j, 3 + i] += w0 * p[3 + j, 6] + w1 * p[3 + j, 7] + w2 * p[3 + j, 8]
@@ -72,7 +72,7 @@ def _propagate(
 
 @kernel
 def _forget(p: Floats, first: int, variance: float) -> None:
-    """Make three states unknown again."""
+    """Reset three states to unknown."""
     for i in range(first, first + 3):
         for j in range(STATES):
             p[i, j] = 0.0
@@ -93,7 +93,7 @@ def _innovate(
 ) -> None:
     """Write S = H P H' + R = L L' as `root`, `g` [6, 18] = L^-1 H P, and L's squared diagonal.
 
-    `root` [6, 6] holds L below its diagonal and 1 / L on it; rows of what is `missing` [2] are 0.
+    `root` [6, 6] has L below its diagonal and 1 / L on it; rows that are `missing` [2] are 0.
     """
     for m in range(3):
         f0, f1, f2 = frame[m, 0], frame[m, 1], frame[m, 2]
@@ -131,7 +131,7 @@ def _innovate(
 
 @kernel
 def flight_gains(
-    turn: Floats,
+    rotation: Floats,
     tilt: Floats,
     frame: Floats,
     begins: Floats,
@@ -145,7 +145,7 @@ def flight_gains(
     roots: Floats,
     variances: Floats,
 ) -> None:
-    """Write what whitens integrated residuals (angle [rad], velocity [m/s], earth axes).
+    """Write the gains that whiten integrated residuals (angle [rad], velocity [m/s], earth axes).
 
     With e the reference's attitude error, v its velocity error, b and c the wander of gyros and
     accelerometers in body axes:
@@ -153,25 +153,25 @@ def flight_gains(
         angle    = I - e + white    dI/dt = R b + white
         velocity = J - v + white    dJ/dt = R c + e x f + white
 
-    `turn` [N, 3, 3] R and `tilt` [N, 3, 3] the integral of -[f x], both of the step that ends at
-    the row, of length `step_s` [N]; `frame` [N, 3, 3] turns e into the rows' axes. `keep` [N, 4] of
-    e, b, v, c; `drive` [N, 6], `start` [6] variances added in the step and at first, of the six
-    state vectors; `white` [N, 6] of the measurements. Rows with `begins` not 0 start from unknown
-    angle and velocity; where `missing` [N, 2] is not 0 angle or velocity tell nothing.
+    `rotation` [N, 3, 3] R and `tilt` [N, 3, 3] the integral of -[f x], both of the step that ends
+    at the row, of length `step_s` [N]; `frame` [N, 3, 3] rotates e into the rows' axes. `keep`
+    [N, 4] of e, b, v, c; `drive` [N, 6], `start` [6] variances of the six state vectors, added in
+    the step and initial; `white` [N, 6] of the measurements. Rows with `begins` not 0 start from
+    unknown angle and velocity; where `missing` [N, 2] is not 0 there is no angle or velocity.
 
-    `gains` [N, 18, 6] take whitened innovations to the states, `roots` [N, 6, 6] as `_innovate`
-    writes them; `variances` [N, 6] of the innovations in turn, 1 where there is none.
+    `gains` [N, 18, 6] map whitened innovations to the states, `roots` [N, 6, 6] as `_innovate`
+    writes them; `variances` [N, 6] of the innovations in sequence, 1 where there is none.
     """
     p, keeps = np.zeros((STATES, STATES)), np.ones(STATES)
     g, s = np.zeros((6, STATES)), np.zeros((6, 6))
     for i in range(STATES):
         p[i, i] = start[i // 3]
-    for n in range(turn.shape[0]):
+    for n in range(rotation.shape[0]):
         if n > 0:
             for i in range(3):
                 keeps[i], keeps[6 + i] = keep[n, 0], keep[n, 1]
                 keeps[9 + i], keeps[15 + i] = keep[n, 2], keep[n, 3]
-            _propagate(p, turn[n], tilt[n], keeps, drive[n], step_s[n])
+            _propagate(p, rotation[n], tilt[n], keeps, drive[n], step_s[n])
         if begins[n] != 0.0:
             _forget(p, 3, start[1])
             _forget(p, 12, start[4])
@@ -194,11 +194,11 @@ def flight_gains(
 
 @kernel
 def _propagate_lanes(
-    x: Floats, lanes: int, turn: Floats, tilt: Floats, keep: Floats, step_s: float
+    x: Floats, lanes: int, rotation: Floats, tilt: Floats, keep: Floats, step_s: float
 ) -> None:
     """X <- F X."""
     for i in range(3):
-        w0, w1, w2 = turn[i, 0] * step_s, turn[i, 1] * step_s, turn[i, 2] * step_s
+        w0, w1, w2 = rotation[i, 0] * step_s, rotation[i, 1] * step_s, rotation[i, 2] * step_s
         t0, t1, t2 = tilt[i, 0], tilt[i, 1], tilt[i, 2]
         for k in range(lanes):
             x[3 + i, k] += w0 * x[6, k] + w1 * x[7, k] + w2 * x[8, k]
@@ -221,7 +221,7 @@ def _propagate_lanes(
 
 @kernel
 def _update_lanes(x: Floats, lanes: int, frame: Floats, root: Floats, gain: Floats) -> None:
-    """Turn measurements in the rows 18 to 23 of X into whitened innovations, and update X."""
+    """Replace measurements in the rows 18 to 23 of X by whitened innovations, and update X."""
     for m in range(3):
         f0, f1, f2 = frame[m, 0], frame[m, 1], frame[m, 2]
         for k in range(lanes):
@@ -253,7 +253,7 @@ def _update_lanes(x: Floats, lanes: int, frame: Floats, root: Floats, gain: Floa
 @kernel
 def whiten_flight(
     rows: Floats,
-    turn: Floats,
+    rotation: Floats,
     tilt: Floats,
     frame: Floats,
     begins: Floats,
@@ -263,7 +263,7 @@ def whiten_flight(
     roots: Floats,
     out: Floats,
 ) -> None:
-    """Whiten integrated residuals `rows` [N, 6, K] into `out` by what `flight_gains` wrote."""
+    """Whiten integrated residuals `rows` [N, 6, K] into `out` with the gains of `flight_gains`."""
     count, columns = rows.shape[0], rows.shape[2]
     x = np.zeros((STATES + 6, _LANES))
     for first in range(0, columns, _LANES):
@@ -274,7 +274,7 @@ def whiten_flight(
                 x[i, k] = 0.0
         for n in range(count):
             if n > 0:
-                _propagate_lanes(x, lanes, turn[n], tilt[n], keep[n], step_s[n])
+                _propagate_lanes(x, lanes, rotation[n], tilt[n], keep[n], step_s[n])
             if begins[n] != 0.0:
                 for i in range(3):
                     for k in range(lanes):

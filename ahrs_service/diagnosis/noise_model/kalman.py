@@ -1,9 +1,9 @@
-"""A kernel that whitens a channel: the same filter runs over a residual and what effects add to it.
+"""A kernel that whitens a channel: one filter for the residual and for the responses of effects.
 
-A Kalman filter of the noise is linear, and its gains depend on the noise alone. So the innovations
-of the residual and of every regressor, over their sigmas, turn generalised into ordinary least
-squares, in a time linear in the number of samples (Harvey, Forecasting, Structural Time Series
-Models and the Kalman Filter, sec. 3.4).
+A Kalman filter of the noise is linear, and its gains depend only on the noise. The innovations of
+the residual and of every regressor, divided by their sigmas, therefore reduce generalised to
+ordinary least squares, in a time linear in the number of samples (Harvey, Forecasting, Structural
+Time Series Models and the Kalman Filter, sec. 3.4).
 """
 
 import math
@@ -24,10 +24,10 @@ def whiten_channel(
     out: Floats,
     log_variance: Floats,
 ) -> None:
-    """Whiten `rows` [N, K] of white noise and a first-order Gauss-Markov bias into `out`.
+    """Whiten `rows` [N, K] with white noise and a first-order Gauss-Markov bias into `out`.
 
     Variances `white` and `wander` of one row, `keep` exp(-step / time). Rows where `missing` [N]
-    is not 0 give no innovation. `log_variance` [N] of the innovations, 0 where there is none.
+    is not 0 have no innovation. `log_variance` [N] of the innovations, 0 where there is none.
     """
     count, columns = rows.shape
     mean = np.zeros(columns)

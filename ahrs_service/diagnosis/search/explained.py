@@ -1,4 +1,4 @@
-"""What the search has explained of a misfit so far, as its stages hand it on."""
+"""The part of a misfit explained so far, passed from stage to stage of the search."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -11,9 +11,9 @@ from ahrs_service.diagnosis.input.misfit import Residual
 
 @dataclass(frozen=True, slots=True)
 class Explained:
-    """What is explained so far, as one stage of the search hands it to the next.
+    """The explanations found so far, as one stage of the search passes them to the next.
 
-    `model` all of it fitted, `taken` one step per term of the model in its order, `unknown` the
+    `model` all of them fitted, `taken` one step per term of the model in its order, `unknown` the
     surprise of every unknown dependence in it.
     """
 
@@ -25,15 +25,15 @@ class Explained:
 
     @property
     def count(self) -> int:
-        """How many explanations stand beside each other."""
+        """The number of explanations."""
         return len(self.taken) + len(self.unknown)
 
     def with_effect(self, step: Step) -> "Explained":
-        """Return it with a named effect more."""
+        """Return it with one more named effect."""
         return replace(self, model=step.model, taken=(*self.taken, step))
 
     def with_unknown(self, step: Step) -> "Explained":
-        """Return it with an unknown dependence more."""
+        """Return it with one more unknown dependence."""
         unknown = {**self.unknown, step.candidate.dependence: step.surprise}
         return replace(self, model=step.model, unknown=unknown)
 

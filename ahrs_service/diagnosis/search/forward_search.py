@@ -1,8 +1,8 @@
-"""The search for what was left out: forward by likelihood, with swaps, then back.
+"""The search for missing effects: forward selection by likelihood, with swaps, then pruning.
 
-Every hypothesis is screened by its gain under the noise as it is; the best few are then fitted in
-full, nonlinear parameters and noise with them, because an effect that is there inflates the noise
-of a model without it.
+Every hypothesis is screened by its gain under the current noise; the best few are then fitted in
+full, including nonlinear parameters and noise, because an effect that is present inflates the
+noise of a model without it.
 """
 
 from collections.abc import Callable
@@ -32,8 +32,8 @@ from ahrs_service.diagnosis.hypotheses.model import (
 from ahrs_service.diagnosis.hypotheses.named_vs_unknown import (
     FITTED,
     IN_REACH,
-    as_telling,
     best_unknown,
+    covariates_alike,
     is_clearer_than,
 )
 from ahrs_service.diagnosis.hypotheses.score_test import screen, surprise
@@ -50,33 +50,36 @@ from ahrs_service.diagnosis.search.search_threshold import (
 )
 
 _CLOSE: Final = 0.6
-"""A choice: of the best surprise, from which an effect's noise is fitted too. Not classes.py's 0.7:
-there the best is the effect itself, which has its noise already. Searched from 0.3 to 0.9: flat, on
-four blind recordings (cases 1, 3, 6 and 8 of plan(14, 4711, 120)), as _APART from 0.07 to 0.3."""
-_MOST_STEPS: Final = 5  # A choice: a bound on the effects and unknown dependences of one recording
+"""A choice: share of the best surprise from which an effect's noise is fitted too. Not the 0.7 of
+classes.py: there the best is the effect itself, whose noise is fitted. Searched from 0.3 to 0.9:
+flat, on four blind recordings (cases 1, 3, 6 and 8 of plan(14, 4711, 120)), as _APART from 0.07
+to 0.3."""
+_MOST_STEPS: Final = 5  # A choice: at most so many effects and unknowns in a recording
 _APART: Final = 0.15
-"""Correlation below which one effect cannot have stood in for two (searched: see _CLOSE)."""
+"""Correlation below which one effect cannot have replaced two (searched: see _CLOSE)."""
 _FREED: Final = 11.0
-"""More surprise [nats] asked of a gain that is there only once the wander is fitted again: its size
-and time are badly known, and a smaller wander makes more of any slow regressor. Of 100 recordings
-of noise the largest were 17.2 and 15.1 so, wander that follows temperature, and 5.3 before. Not of
-a turned mounting, no slow regressor: there the largest was 4.4, of the 66 of them in motion."""
+"""Extra surprise [nats] required of a gain that appears only when the wander is refitted: its size
+and time are poorly known, and a smaller wander favours any slow regressor. In 100 recordings of
+noise the largest surprises of this kind were 17.2 and 15.1, both for wander that follows
+temperature, and 5.3 without the refit. Not required of a rotated mounting, which is no slow
+regressor: there the largest was 4.4, in the 66 recordings in motion."""
 _SHARE_OF_UNKNOWN: Final = 0.3
-"""A choice: of an unknown dependence's gain, what its rest may imitate (see _beside_unknown)."""
-_SOME: Final = 1.5  # A choice: of 22 % of the hypotheses noise alone makes as much (e^-1.5)
+"""A choice: share of an unknown dependence's gain that its unmodelled rest may imitate (see
+_least_beside_unknown)."""
+_SOME: Final = 1.5  # A choice: noise alone exceeds it for 22 % of the hypotheses (e^-1.5)
 Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """What the search found.
+    """The result of the search.
 
     `steps` one per term of `model`, in its order, each with gain and surprise against the model
     without it; `alike` per term the ids that explain as much; `rivals` per term the next best
-    with its gain; `unknown` surprise per unknown dependence left or taken; `telling` per unknown
-    dependence the covariates that explain as much, its own first; `hypotheses` how many
-    independent ones were looked at; `scatter` per term by how much its variances are larger
-    than the noise says, see diagnosis.agreement.
+    effect with its gain; `unknown` surprise of each unknown dependence; `covariates` per unknown
+    dependence the covariates that explain as much, its own first; `hypotheses` the number of
+    independent hypotheses; `scatter` per term the ratio of its true variances to those of the
+    noise model, see judgement.agreement.
     """
 
     bare: Model
@@ -85,7 +88,7 @@ class Search:
     alike: tuple[tuple[str, ...], ...]
     rivals: tuple[tuple[str, float] | None, ...]
     unknown: dict[Dependence, float]
-    telling: dict[Dependence, tuple[str, ...]]
+    covariates: dict[Dependence, tuple[str, ...]]
     hypotheses: float
     scatter: tuple[float, ...]
 
@@ -98,7 +101,7 @@ def _named(ranking: list[tuple[Candidate, float]], model: Model) -> list[tuple[C
 def best_step(residual: Residual, library: Library, model: Model, least: float) -> Step | None:
     """Return the best further effect, None where no hypothesis reaches the surprise `least`.
 
-    Where a smooth unknown dependence explains clearly more than any of them, that is returned.
+    A smooth unknown dependence is returned instead where it explains clearly more.
     """
     gains = screen(residual, model.noise, library, model.base, model.misfit)
     forms = best_forms(library, gains)
@@ -113,17 +116,17 @@ def best_step(residual: Residual, library: Library, model: Model, least: float) 
 
 
 def _is_possible(library: Library, step: Step) -> bool:
-    """Whether a step's numbers are of a size that an IMU can have; what is not is noted."""
+    """Whether an IMU can have a step's parameters; an effect too large is noted in `library`."""
     if is_plausible(step.model):
         return True
     library.implausible[step.candidate.name] = step.model.terms[-1], step.gain
     return False
 
 
-def _is_swallowed(candidate: Candidate, value: float) -> bool:
-    """Whether the noise of a model without it may have taken up what a candidate explains.
+def _may_be_absorbed(candidate: Candidate, value: float) -> bool:
+    """Whether the noise of a model without a candidate may have absorbed what it explains.
 
-    Only a fit with the noise parts a constant error from the reference's own that lasts.
+    Only a joint fit with the noise separates a constant error from a slow error of the reference.
     """
     return candidate.is_constant and value > _SOME
 
@@ -135,9 +138,9 @@ def _best_named(
     forms: list[tuple[Candidate, float]],
     least: float,
 ) -> Step | None:
-    """Return the most surprising effect: settled, then those in reach fitted with their noise."""
+    """Return the effect of highest surprise: all fitted, the best of them again with the noise."""
     ranking = [(c, value) for c, value in _named(forms, model) if value > IN_REACH * least][:TRIED]
-    ranking += [(c, v) for c, v in forms if _is_swallowed(c, v) and (c, v) not in ranking]
+    ranking += [(c, v) for c, v in forms if _may_be_absorbed(c, v) and (c, v) not in ranking]
     if not ranking:
         return None
     steps = [extend(residual, library, model, c, has_noise=False) for c, _ in ranking]
@@ -148,7 +151,7 @@ def _best_named(
         step_between(residual, model, step.candidate, refit(residual, step.model))
         for rank, step in enumerate(close)
         if (rank < FITTED and step.surprise >= _CLOSE * top)
-        or _is_swallowed(step.candidate, step.surprise)
+        or _may_be_absorbed(step.candidate, step.surprise)
     ]
     fitted = [step for step in fitted if _is_possible(library, step)]
     best = max(fitted, key=lambda step: step.surprise, default=None)
@@ -161,24 +164,24 @@ def _best_named(
 
 
 def search(residual: Residual, library: Library, progress: Progress | None = None) -> Search:
-    """Find the effects that explain a misfit, and what else it depends on."""
-    tell = progress or (lambda share: None)
+    """Find the effects that explain a misfit, and the unknown dependences that remain."""
+    report = progress or (lambda share: None)
     empty = bare(residual)
     count = hypotheses(maxima(residual, library, empty))
-    tell(0.25)
-    found = _forward(Explained(residual, library, empty), tell)
+    report(0.25)
+    found = _forward(Explained(residual, library, empty), report)
     for stage in (agreed, pruned, reformed, confirmed):
         found = stage(found)
-    tell(0.8)
+    report(0.8)
     return _judged(found, empty, count)
 
 
-def _forward(found: Explained, tell: Progress) -> Explained:
-    """Take the best explanation, one after the other, until none surprises."""
+def _forward(found: Explained, report: Progress) -> Explained:
+    """Add the best explanation, one after the other, until none is significant."""
     main, unknowns = 0.0, list[Step]()
     for number in range(_MOST_STEPS):
         step = best_step(found.residual, found.library, found.model, ALARM + SHARE_OF_MAIN * main)
-        if step is None or step.gain < _beside_unknown(step, unknowns):
+        if step is None or step.gain < _least_beside_unknown(step, unknowns):
             break
         main = max(main, step.gain)
         model = step.model
@@ -188,15 +191,15 @@ def _forward(found: Explained, tell: Progress) -> Explained:
             unknowns.append(step)
         else:
             found = _swap(found.with_effect(step))
-        tell(0.25 + 0.1 * (number + 1))
+        report(0.25 + 0.1 * (number + 1))
     return found
 
 
 def _judged(found: Explained, empty: Model, count: float) -> Search:
     """Return what was found with the gain of each effect over the model without it."""
     residual, library, model = found.residual, found.library, found.model
-    telling = {
-        one: as_telling(residual, library, without_unknown(residual, model, one), one)
+    covariates = {
+        one: covariates_alike(residual, library, without_unknown(residual, model, one), one)
         for one in found.unknown
     }
     scatter = tuple(scatter_of_term(residual, model, place) for place in range(len(found.taken)))
@@ -216,7 +219,7 @@ def _judged(found: Explained, empty: Model, count: float) -> Search:
         tuple(classes),
         tuple(rivals),
         dict(found.unknown),
-        telling,
+        covariates,
         count,
         scatter,
     )
@@ -230,19 +233,19 @@ def _overlap(model: Model, place: int) -> float:
     return float(np.abs(correlation[np.ix_(own, ~own)]).max(initial=0.0))
 
 
-def _beside_unknown(step: Step, unknowns: list[Step]) -> float:
-    """Return the gain that a step needs where something unknown acts on its triad.
+def _least_beside_unknown(step: Step, unknowns: list[Step]) -> float:
+    """Return the gain that a step needs where its triad has an unknown dependence.
 
-    What a smooth form leaves of the unknown imitates much; only a part of its size is believed.
+    What a smooth form leaves of the unknown can imitate an effect with a part of its gain.
     """
     there = [u.gain for u in unknowns if step.candidate.triad in (u.candidate.triad, "imu")]
     return _SHARE_OF_UNKNOWN * max(there, default=0.0)
 
 
 def _swap(found: Explained) -> Explained:
-    """Put another effect in the place of each but the last where that explains more.
+    """Replace each effect but the last by another where that explains more.
 
-    Only where their numbers are correlated could the first have stood in for both.
+    Only where their parameters are correlated can the first have replaced both.
     """
     residual, model = found.residual, found.model
     for place, own_step in enumerate(found.taken[:-1]):

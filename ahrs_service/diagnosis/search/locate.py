@@ -1,4 +1,4 @@
-"""Where a misfit lives: each channel against each covariate, with what noise alone would give."""
+"""The misfit of each channel against each covariate, and its range under noise alone."""
 
 import math
 from typing import Final
@@ -15,7 +15,7 @@ from ahrs_service.effects.base import Addition
 from ahrs_service.records import Floats
 
 _BINS: Final = 8
-"""A choice: octiles; eight means show a bend and keep an eighth of the samples each."""
+"""A choice: octiles; eight means show a curvature, each from an eighth of the samples."""
 _UNITS: Final = {
     "temperature": "degC",
     "temperature slope": "degC/s",
@@ -35,13 +35,13 @@ _UNITS: Final = {
 
 
 def _edges(values: Floats) -> Floats:
-    """Return edges [B+1] of bins that hold about as many instants each."""
+    """Return edges [B+1] of bins with about equal numbers of samples."""
     edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)))
     return edges if len(edges) > 2 else np.array([])
 
 
 def _indicators(residual: Residual, channel: int, values: Floats, edges: Floats) -> Floats:
-    """Return the rows [N, 6, B] of one channel reading one more in each bin of a covariate."""
+    """Return the rows [N, 6, B] of a unit offset of one channel in each bin of a covariate."""
     place = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
     columns = []
     for b in range(len(edges) - 1):
@@ -53,10 +53,10 @@ def _indicators(residual: Residual, channel: int, values: Floats, edges: Floats)
 
 
 def against_covariates(residual: Residual, before: Model, after: Model) -> tuple[Covariate, ...]:
-    """Return the misfit of every channel in bins of every covariate, most telling first.
+    """Return the misfit of every channel in bins of every covariate, lowest p-value first.
 
-    Means by generalised least squares under the noise of `after`, biases fitted beside them, so
-    that `null_std` is what noise, wander and the reference's own error give to such a mean.
+    Means by generalised least squares under the noise of `after`, with the biases fitted too:
+    `null_std` is the 1-sigma of a mean under noise, wander and the reference's own error.
     """
     covariates = regimes(residual.columns) | {"time": residual.columns.time_s}
     explained = before.misfit - after.misfit
@@ -82,7 +82,7 @@ def _of_covariate(gram: Floats, name: str, edges: Floats) -> list[Covariate]:
     found = []
     for channel in range(6):
         part = slice(channel * bins, (channel + 1) * bins)
-        # One mean is not told from the bias: a little is added so that they centre on zero.
+        # The common mean is not separable from the bias: a small ridge centres the means on zero.
         part_gram = own[part, part] + 1e-6 * np.trace(own[part, part]) / bins * np.eye(bins)
         mean, covariance, _ = solve(part_gram, own[part, -2])
         fitted, _, _ = solve(part_gram, own[part, -1])
@@ -105,11 +105,11 @@ def _of_covariate(gram: Floats, name: str, edges: Floats) -> list[Covariate]:
     return found
 
 
-def where_it_acts(residual: Residual, added: Floats) -> tuple[Where, ...]:
+def where_largest(residual: Residual, added: Floats) -> tuple[Where, ...]:
     """Return the spans in which what a finding adds to rate and force [N, 6] is largest.
 
-    Up to three spans of a twentieth of the recording or more in which its running rms is above
-    its own overall rms, and the covariate that is most unlike its mean there.
+    Up to three spans of a twentieth of the recording or more in which its running rms exceeds
+    its overall rms, each with the covariate that deviates most from its mean there.
     """
     scaled = (added - added.mean(axis=0)) / (added.std(axis=0) + 1e-30)
     size = np.sqrt(np.mean(scaled**2, axis=1))

@@ -1,4 +1,4 @@
-"""What was found, looked at again: what is contradicted, small, misnamed or harmful is left out."""
+"""Revision of the findings: inconsistent, small, misnamed or harmful ones are removed."""
 
 from typing import Final
 
@@ -14,11 +14,11 @@ from ahrs_service.diagnosis.search.explained import Explained
 from ahrs_service.diagnosis.search.search_threshold import ALARM, UNKNOWN_ALARM
 
 _KEPT_SHARE: Final = 0.25
-"""A choice: beside something unknown a name must keep so much of the gain it was taken for."""
+"""A choice: next to an unknown dependence a named effect must keep this share of its gain."""
 
 
 def pruned(found: Explained) -> Explained:
-    """Leave out what explains little beside the rest: unknown dependences first, then effects."""
+    """Remove what explains little next to the rest: unknown dependences first, then effects."""
     if found.count < 2:
         return found
     residual = found.residual
@@ -41,7 +41,7 @@ def pruned(found: Explained) -> Explained:
 
 
 def reformed(found: Explained) -> Explained:
-    """Put an unknown dependence in the place of every name that it explains clearly more than."""
+    """Replace every effect by an unknown dependence that explains clearly more, if there is one."""
     if found.count < 2:
         return found
     place = 0
@@ -57,7 +57,7 @@ def reformed(found: Explained) -> Explained:
 
 
 def confirmed(found: Explained) -> Explained:
-    """Leave out every further effect by which blocks that it was not fitted to get worse."""
+    """Remove every effect after the first that makes held-out blocks worse."""
     place = 1
     while place < len(found.taken):
         shorter = without(found.residual, found.model, place)
@@ -70,7 +70,7 @@ def confirmed(found: Explained) -> Explained:
 
 
 def agreed(found: Explained) -> Explained:
-    """Leave out what parts of the recording contradict each other on, the weakest first.
+    """Remove explanations on which parts of the recording disagree, the weakest first.
 
     The strongest effect stays: what the others leave of it makes its parts differ.
     """
@@ -91,7 +91,7 @@ def agreed(found: Explained) -> Explained:
 
 
 def _most_contradicted(found: Explained) -> tuple[int, Model] | None:
-    """Return the weakest effect that parts contradict each other on, and the model without it."""
+    """Return the weakest effect on which parts disagree, and the model without it."""
     residual, model, taken = found.residual, found.model, found.taken
     ratios = [scatter_of_term(residual, model, place) for place in range(len(taken))]
     if max(ratios) == 1.0:

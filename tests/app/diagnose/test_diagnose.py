@@ -61,7 +61,7 @@ def test_the_oracle_stands_beside_what_was_found(written):
         np.testing.assert_allclose(after, best, rtol=0.15)
     run = report["holdout"]["free_run_attitude_error_60s_deg"]
     assert run["oracle"] == pytest.approx(run["after"], rel=0.1)
-    assert "Beside the truth" in (folder / "report.html").read_text()
+    assert "Compared with the truth" in (folder / "report.html").read_text()
 
 
 def test_every_file_is_whole(written):

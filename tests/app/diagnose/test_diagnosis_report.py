@@ -12,7 +12,7 @@ from rich.console import Console
 
 from ahrs_service.app.diagnose import diagnosis_text as text
 from ahrs_service.app.diagnose.command import extended, sigmas_of
-from ahrs_service.app.diagnose.diagnosis_page import most_telling, page
+from ahrs_service.app.diagnose.diagnosis_page import most_significant, page
 from ahrs_service.app.diagnose.diagnosis_terminal import summary
 from ahrs_service.app.files import twin_file
 from ahrs_service.diagnosis.result import (
@@ -104,15 +104,15 @@ def diagnosis():
 def test_a_finding_is_a_paragraph_that_a_pilot_understands():
     words = text.paragraph(finding())
     assert words.startswith("The z accelerometer reads 0.4 m/s^2 low while the motors vibrate. ")
-    assert "It shows from 60 s to 150 s (vibration above 2 m/s^2)." in words
+    assert "It is largest from 60 s to 150 s (vibration above 2 m/s^2)." in words
     assert "gains 412 nats" in words
     assert "cannot tell it from accelerometer: bias that follows the battery current" in words
     assert "Added to the reading: k sigma_vib^2." in words
-    assert "It is often taken for accelerometer: bias that follows the temperature." in words
-    assert "To be sure: run the motors without propellers." in words
+    assert "It is often mistaken for accelerometer: bias that follows the temperature." in words
+    assert "To separate them: run the motors without propellers." in words
     assert "cannot be compensated live: it needs the level of vibration" in words
     can = text.live_text("gyro_scale_factor")
-    assert can == "The estimator can compensate it live, by a calibration file"
+    assert can == "The estimator can compensate it live, with a calibration file"
 
 
 @pytest.mark.parametrize(
@@ -174,7 +174,7 @@ def test_every_covariate_has_the_most_telling_channel_of_each_sensor():
         for covariate in ("throttle", "time")
         for n, (triad, channel) in enumerate(channels)
     ]
-    shown = [(item.covariate, item.channel) for item in most_telling(panels)]
+    shown = [(item.covariate, item.channel) for item in most_significant(panels)]
     assert shown == [
         ("throttle", "accel_z"), ("time", "accel_z"), ("throttle", "gyro_y"), ("time", "gyro_y")
     ]  # fmt: skip
@@ -200,7 +200,7 @@ def test_the_terminal_says_the_same(diagnosis):
     console = Console(width=120, record=True, file=io.StringIO())
     console.print(summary("flight.tlog", diagnosis))
     shown = " ".join(console.export_text().split())
-    assert "Unexplained: something real is left" in shown
+    assert "Unexplained: a real difference is left" in shown
     assert "The z accelerometer reads 0.4 m/s^2 low while the motors vibrate." in shown
     assert "accel x deviates from 20 s to 90 s and depends on airspeed" in shown
     assert "0.21 → 0.06" in shown
@@ -222,15 +222,15 @@ def test_what_the_truth_holds_stands_beside_the_found(diagnosis):
         ("accel_current_coupling", "reference", "0 A",
          "in the class of accel_vibration_rectification"),
         ("gyro_scale_factor", "scale error", "(0.01, 0, 0)", "not found"),
-        ("accel: something that depends on airspeed", "", "has no equation here", ""),
+        ("accel: something that depends on airspeed", "", "not in the catalogue", ""),
     ]  # fmt: skip
     beside = replace(diagnosis, oracle=oracle)
     figures = {name: cells for name, *cells in text.held_out_beside_truth(beside)}
     assert figures["accel z rms [m/s^2]"] == ["0.21", "0.06", "0.06"]
-    assert figures["attitude after 60 s of the gyro alone [deg]"] == ["3.200", "0.400", "0.300"]
+    assert figures["attitude error after 60 s on gyro alone [deg]"] == ["3.200", "0.400", "0.300"]
     wrong = replace(oracle, effects=())
     (row,) = text.beside_truth(replace(diagnosis, oracle=replace(wrong, outside=())))
-    assert row[:3] == ("accel_vibration_rectification", "", "not there")
+    assert row[:3] == ("accel_vibration_rectification", "", "not present")
 
 
 def test_what_the_simulated_lacks_is_what_no_effect_of_its_classes_explains(diagnosis):

@@ -45,7 +45,7 @@ def test_a_set_is_sealed_diagnosed_and_scored(tmp_path, capsys):
     assert rescored["seal_sha256"] == document["seal_sha256"]
     assert rescored["marks"]["diagnose"] == document["marks"]["diagnose"]
     assert main(["prove", *arguments]) == 2
-    assert "holds a set already" in capsys.readouterr().err
+    assert "already holds a set" in capsys.readouterr().err
 
 
 def test_recordings_that_are_there_are_scored_in_processes(cases, tmp_path):
@@ -65,7 +65,7 @@ def test_a_truth_changed_under_way_is_noticed(cases, monkeypatch, capsys):
 
     monkeypatch.setattr(prove, "answer", meddling)
     assert main(["prove", "--cases", str(cases)]) == 1
-    assert "a truth changed" in " ".join(capsys.readouterr().err.split())
+    assert "a truth file changed" in " ".join(capsys.readouterr().err.split())
 
 
 def test_what_cannot_be_scored_is_refused(cases, tmp_path, capsys):

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from ahrs_service.constants import STANDARD_GRAVITY_M_S2
 from ahrs_service.diagnosis.input.diagnosis_input import Recorded, Series
 from ahrs_service.diagnosis.input.flight_misfit import FlightResidual
-from ahrs_service.diagnosis.input.preintegrated_misfit import gather
+from ahrs_service.diagnosis.input.preintegrated_misfit import preintegrated
 from ahrs_service.diagnosis.input.reference import excursions, jumps, reference_of
 from ahrs_service.diagnosis.input.sparse_velocity import instants_on
 from ahrs_service.effects.catalogue import effect_of
@@ -64,7 +64,7 @@ def uneven(rng, step_s, share):
 def test_a_perfect_imu_gathers_what_uneven_references_tell():
     at_s = uneven(np.random.default_rng(1), 0.1, 0.5)
     recorded = recorded_at(at_s)
-    gathered = gather(recorded, reference_of(recorded))
+    gathered = preintegrated(recorded, reference_of(recorded))
     assert gathered.parts == 5
     np.testing.assert_allclose(gathered.misfit, 0.0, atol=6e-5)
     np.testing.assert_allclose(gathered.ned_from_body, wxyz(attitude(gathered.time_s)), atol=2e-5)
@@ -74,7 +74,8 @@ def test_a_slow_imu_is_followed_along_its_bends():
     at_s = np.arange(0.5, 39.5, 0.1)
     recorded = recorded_at(at_s, step_s=0.04)
     # Straight lines would miss 1e-3 m/s per tenth of a second at 25 Hz.
-    np.testing.assert_allclose(gather(recorded, reference_of(recorded)).misfit, 0.0, atol=6e-5)
+    found = preintegrated(recorded, reference_of(recorded))
+    np.testing.assert_allclose(found.misfit, 0.0, atol=6e-5)
 
 
 def test_late_stamps_enter_the_velocity_through_the_force_alone():
@@ -108,7 +109,7 @@ def test_gaps_of_either_begin_anew():
         gyro_rad_s=recorded.gyro_rad_s[there],
         accel_m_s2=recorded.accel_m_s2[there],
     )
-    gathered = gather(cut, reference_of(cut))
+    gathered = preintegrated(cut, reference_of(cut))
     begins = at_s[:-1][gathered.is_broken]
     assert np.all(((begins > 9.9) & (begins < 13.0)) | ((begins > 19.9) & (begins < 20.51)))
     assert len(begins) > 20
