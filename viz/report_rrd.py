@@ -111,7 +111,9 @@ def _blueprint(findings: list[str], pictures: list[str], axis: rrb.TimeAxis) -> 
     ]
     lower: list[rrb.View | rrb.Container] = []
     if findings:
-        lower.append(rrb.StateTimelineView(origin="/where", name="Where it shows", time_view=axis))
+        lower.append(
+            rrb.StateTimelineView(origin="/where", name="When it is present", time_view=axis)
+        )
     if views:
         lower.append(rrb.Tabs(*views))
     shares = [1.0, *([0.3] if findings else []), *([0.8] if views else [])]
