@@ -129,7 +129,7 @@ def test_imu_at_2_hz_is_flagged_and_warned_of(base):
     assert "gap" not in outcome.summary.flags
     warning = outcome.summary.warnings[0]
     assert warning.startswith(("IMU at 2.0 Hz", "IMU at 1.9 Hz"))
-    assert "follows the accelerometer alone and means nothing in manoeuvres" in warning
+    assert "follows the accelerometer alone and is meaningless in manoeuvres" in warning
     said = [text for t_s, text in outcome.health() if t_s > 2.0]
     assert all("IMU below 20 Hz" in text and "no IMU" not in text for text in said)
 

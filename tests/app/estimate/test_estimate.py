@@ -142,12 +142,12 @@ def test_without_a_profile_the_motion_says_it(flight, run, capsys):
     fields, _ = flight
     own = run(only(fields), "--profile", "fixed_wing")["quat"]
     assert run(only(fields))["quat"].tobytes() == own.tobytes()
-    assert "taken for fixed_wing" in capsys.readouterr().err
+    assert "recognised as fixed_wing" in capsys.readouterr().err
     rest = {name: fields[name][:600] for name in ("imu_gyr", "imu_acc")} | {"sampling_rate": 20.0}
     run(rest)
-    assert "taken for multirotor" in capsys.readouterr().err
+    assert "recognised as multirotor" in capsys.readouterr().err
     run(in_flu(only(fields)), "--frame", "flu", "--set", "fusion.airframe=fixed_wing")
-    assert "taken for" not in capsys.readouterr().err
+    assert "recognised as" not in capsys.readouterr().err
 
 
 def test_airspeed_is_used(flight, run):

@@ -157,7 +157,7 @@ def test_the_replay_command_takes_file_folder_or_none(
         assert main(["replay", str(simulated_tlog), *options]) == 0
         said.append(capsys.readouterr().out)
     assert "serial SIM-1" in said[0]
-    assert "none, as asked" in said[1]
+    assert "none, as requested" in said[1]
     unit = ["--set", "sensor.unit=sim-1"]
     assert main(["replay", str(simulated_tlog), "--calibration", str(SHIPPED), *unit]) == 0
     digests = [text.split("estimates sha256 ")[1].split()[0] for text in said]
@@ -218,7 +218,7 @@ def test_a_replay_takes_another_calibration_or_none(live, flight_frames, tmp_pat
     (path,) = (tmp_path / "flights").iterdir()
     plain = replay_log(path, sensor=SensorSettings(calibration="none"))
     assert plain.summary.digest != served.digest
-    assert plain.summary.calibration == "none, as asked"
+    assert plain.summary.calibration == "none, as requested"
     again = replay_log(path, served.daemon.settings)
     assert again.summary.digest == served.digest
     assert "sim-1.toml" in again.summary.calibration
@@ -233,7 +233,7 @@ def test_the_daemon_says_which_it_uses(live, flight_frames, tmp_path):
     frames = [flight_frames[0], version(), *flight_frames[1:500]]
     served = serve(live, tmp_path, SensorSettings(calibration=str(SHIPPED)), frames)
     said = [text for _, text in served.said]
-    assert "calibration: waiting for the autopilot to tell its unit" in said
+    assert "calibration: waiting for the autopilot to report its unit" in said
     assert any("sim-1.toml: serial SIM-1, of 2026-01-01, gyro -10 to 70 degC" in t for t in said)
 
 

@@ -85,7 +85,7 @@ def test_low_rate_is_warned_of_with_its_consequence(tmp_path):
     path = write(tmp_path / "slow.tlog", frames_of(30.0, 2.0))
     (warning,) = [one for one in replay_log(path).summary.warnings if "Hz" in one]
     assert "2.0 Hz" in warning
-    assert "means nothing in manoeuvres" in warning
+    assert "is meaningless in manoeuvres" in warning
 
 
 def test_a_result_can_be_pickled(flight):

@@ -194,5 +194,5 @@ def test_a_recording_without_reference_is_refused(tmp_path, capsys):
 
 def test_a_twin_that_cannot_be_written_is_reported(tmp_path):
     place = tmp_path / "missing" / "twin.toml"
-    with pytest.raises(Exception, match=r"cannot be written: .*; give a place that can be"):
+    with pytest.raises(Exception, match=r"cannot be written: .*; give a writable path"):
         twin_file.write(place, Imu(), "test")

@@ -63,7 +63,7 @@ def test_a_ground_station_s_copy_is_used_and_said(tmp_path):
     recorded = read_recorded_parameters(write_tlog(tmp_path / "a.tlog", frames))
     assert recorded.values["INS_ACCOFFS_X"] == 0.0
     assert recorded.values["INS_ACCOFFS_Y"] == 0.0
-    assert recorded.notes == ("parameters as 255/190 tells them, not the vehicle itself",)
+    assert recorded.notes == ("parameters as reported by 255/190, not the vehicle itself",)
 
 
 def test_none_and_no_log(tmp_path):
