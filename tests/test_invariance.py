@@ -64,7 +64,7 @@ def shaken(swing, seed):
 
 
 def tumbled(swing, seed):
-    """Whole turns about all axes, which is where an error of scale or axes adds up."""
+    """Full rotations about all axes, where an error of scale or axes adds up."""
     rng = np.random.default_rng(seed)
     angle, push = rng.uniform(0.03, 0.12, (3, 3)), rng.uniform(0.1, 1.5, (3, 3))
     turns = np.stack([np.full((3, 3), 4.0), angle, rng.uniform(0.0, 6.3, (3, 3))], axis=-1)
@@ -120,7 +120,7 @@ def test_the_declination_turns_the_answer_about_the_vertical(flight, mode, decli
 @few
 @given(mounting=st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: math.hypot(*q) > 0.3))
 def test_how_the_sensor_is_mounted_in_the_hand_does_not_matter(swing, mode, mounting):
-    """A hand moves alike along all axes; the constant heading of the answer may differ."""
+    """A hand moves equally along all axes; the constant heading of the result may differ."""
     mounting = np.array([mounting]) / math.hypot(*mounting)
     samples = shaken(swing, 3).samples(regular(15.0, 100.0))
     straight, _ = run(samples, mode)
@@ -261,7 +261,7 @@ def test_the_gyros_matrix_is_found_in_motion_within_its_sigma(swing, seed):
     variances = np.diag(state["covariance"][0])[GYRO_MATRIX : GYRO_MATRIX + 9]
     sigma = np.sqrt(variances).reshape(3, 3)
     assert (np.abs(found - truth) < 3.0 * sigma).all()
-    # What this motion tells it found; what only the heading would tell stays in doubt.
+    # States observable in this motion were found; those that need a heading stay uncertain.
     told = sigma < 0.5 * 0.004
     assert told.sum() >= 3
     assert np.linalg.norm((found - truth)[told]) < 0.5 * np.linalg.norm(truth[told])

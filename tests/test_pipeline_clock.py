@@ -64,7 +64,7 @@ def test_gap_duplicate_late_and_jump_are_separated():
 @pytest.mark.parametrize("jump_s", [-7.5, -1.1, 61.0, 1e6])
 @pytest.mark.parametrize("burst", [1, 20], ids=["singly", "in bursts"])
 def test_a_clock_jump_with_samples_that_keep_coming_keeps_the_attitude(jump_s, burst):
-    """Also where a link delivers in bursts, so that receipts stand still and then step."""
+    """Also where a link delivers in bursts: receipt times stay constant, then step."""
     samples = turning()
     samples["received_ns"] = samples["received_ns"][np.arange(1200) // burst * burst]
     whole = run(samples)
@@ -143,7 +143,7 @@ def test_a_clock_set_back_by_little_is_found_and_loses_no_turn(rate_hz):
 
 
 def test_a_gap_is_not_hidden_by_a_clock_set_back_by_little():
-    """The first samples after the gap look late; the receipts tell that it was long."""
+    """The first samples after the gap look late; the receipt times reveal its length."""
     samples = received(still(1200))
     samples["received_ns"][600:] += 8_000_000_000
     samples["time_ns"][600:] -= 500_000_000

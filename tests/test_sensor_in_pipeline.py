@@ -95,7 +95,7 @@ def test_a_missing_temperature_leaves_the_drift_out_and_is_reported():
 
 
 def test_stale_temperature_is_gone_on_with():
-    """The intake goes on with the last temperature and flags it; the step does as it is told."""
+    """The intake keeps the last temperature and flags it; the step uses the one given."""
     calibration = known(1.0)
     rows = samples_of(calibration, np.r_[np.full(50, 10.0), np.full(COUNT - 50, 20.0)])
     rows["flags"][100:] = Flag.TEMPERATURE_STALE

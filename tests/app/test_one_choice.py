@@ -1,6 +1,6 @@
 """One vehicle and one IMU: every command takes the same samples of a recording with several.
 
-The oracle is a recording that holds nothing but the one vehicle.
+The oracle is a recording of the one vehicle only.
 """
 
 import json
@@ -104,7 +104,7 @@ def test_diagnosis_and_simulation_take_all_columns_of_that_vehicle(logs, asked, 
             continue
         ours, theirs = getattr(both.columns, name), getattr(alone.columns, name)
         if hasattr(ours, "time_s"):
-            # The simulator's truth tells no rates.
+            # The simulator's truth has no rates.
             assert len(ours) or name == "body_rate_rad_s", name
             np.testing.assert_array_equal(ours.time_s, theirs.time_s, name)
             ours, theirs = ours.values, theirs.values

@@ -1,4 +1,4 @@
-"""What a person is told, as the samples of a bench come in."""
+"""Instructions to the operator as the samples of a bench arrive."""
 
 import math
 from dataclasses import replace

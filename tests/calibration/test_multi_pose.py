@@ -115,7 +115,7 @@ def test_both_triads_of_the_bench_are_found(bench):
     accel = fit_accelerometer(poses)
     gyro = fit_gyro(columns, poses, accel)
     truth = np.array(flight.calibration.accel.matrix)
-    # In the accelerometers' symmetric axes the gyros' matrix is turned as theirs is.
+    # In the accelerometers' symmetric axes the gyros' matrix is rotated like theirs.
     u, _, vt = np.linalg.svd(truth)
     turned = u @ vt
     symmetric = truth @ turned.T

@@ -67,7 +67,7 @@ def test_exact_drift_is_found_and_compensated_to_the_last_digits():
 
 
 def test_how_the_unit_lies_does_not_enter():
-    """The same unit turned by two degrees in its fixture: the same drift."""
+    """The same unit rotated by two degrees in its fixture: the same drift."""
     rows, _ = six_pose_rows(noise=1e-3)
     fit = fit_smooth(rows, ZERO, with_lag=False)
     t = np.linspace(-20.0, 60.0, 9)

@@ -1,4 +1,4 @@
-"""Bases of temperature against scipy's own evaluation and what any basis of splines must do."""
+"""Temperature bases against scipy's evaluation and the properties of any spline basis."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What a person is told while a unit warms up."""
+"""Instructions to the operator while a unit warms up."""
 
 import numpy as np
 import pytest

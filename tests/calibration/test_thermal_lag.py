@@ -40,7 +40,7 @@ def test_rows_of_sessions_follow_their_own_clock():
 
 
 def bench_rows(lag_s, heating_and_cooling=True, noise=2e-3, seed=1):
-    """A cubic drift of the element's temperature; the thermometer shows another one."""
+    """A cubic drift with the element's temperature; the thermometer reads another one."""
     time = np.arange(0.0, 7200.0, 10.0)
     corners = [-20.0, 60.0, -20.0] if heating_and_cooling else [-20.0, 20.0, 60.0]
     first = np.interp(time, [0.0, 3600.0, 7200.0], corners)

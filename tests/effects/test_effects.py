@@ -1,4 +1,4 @@
-"""Every effect of the catalogue: zero at its neutral parameters, and as its equation says."""
+"""Every effect of the catalogue: zero at its neutral parameters, else equal to its equation."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Effects of how the IMU moves and stands, each against numbers worked out by hand."""
+"""Effects of the IMU's motion and mounting, each against numbers worked out by hand."""
 
 import math
 
@@ -18,7 +18,7 @@ UP_52 = 5.7462650e-5
 @pytest.mark.parametrize(
     ("stands", "ned_from_body", "expected"),
     [
-        # The axis points north and up: body z is down, so z shows it negative.
+        # The axis points north and up: body z is down, so z reads it negative.
         ("level, north", (1.0, 0.0, 0.0, 0.0), (LEVEL_52, 0.0, -UP_52)),
         # Facing east, north is to the left.
         ("level, east", (RIGHT_ANGLE, 0.0, 0.0, RIGHT_ANGLE), (0.0, -LEVEL_52, -UP_52)),
@@ -35,7 +35,7 @@ def test_the_rate_of_the_earth_at_52_deg_north(stands, ned_from_body, expected):
 
 
 def test_south_of_the_equator_the_axis_points_into_the_ground():
-    """At 30 deg south: cos = 0.8660254, sin = -0.5, so z shows +W / 2."""
+    """At 30 deg south: cos = 0.8660254, sin = -0.5, so z reads +W / 2."""
     found = on_own_triad("gyro_earth_rate", columns(), latitude_deg=-30.0)
     np.testing.assert_allclose(found, [[6.3151569e-5, 0.0, 3.6460575e-5]], rtol=1e-7)
 
@@ -89,7 +89,7 @@ def test_a_gyro_at_rest_with_0_1_deg_s_per_g_along_x_shows_minus_0_1_deg_s():
 def test_misalignment_shows_in_each_axis_its_share_of_the_others(triad):
     """u = (1, 2, 4): x 0.01 * 2 + 0.02 * 4, y 0.03 * 1 + 0.04 * 4, z 0.05 * 1 - 0.06 * 2.
 
-    A diagonal would be a scale factor and does nothing.
+    A diagonal would be a scale factor and has no effect.
     """
     mine, others = (1.0, 2.0, 4.0), (50.0, 60.0, 70.0)
     rate, force = (mine, others) if triad == "gyro" else (others, mine)

@@ -35,7 +35,7 @@ def turned_steadily(bank_deg, speed_m_s, shake=0.0, seconds=20.0, force_scale=1.
 def test_a_turn_is_begun_with_its_bank(bank_deg):
     """The class flies at 15 m/s: there the bank is exact, at 22 half of it may lack for a while.
 
-    The wing's lift, which this turn has not, pulls by some degrees.
+    The wing's lift, absent in this turn, pulls by some degrees.
     """
     found = np.degrees(euler_columns(turned_steadily(bank_deg, 15.0)["ned_from_body"])[:, :2])
     assert found[0] == pytest.approx([bank_deg, 0.0], abs=1e-6)
@@ -55,7 +55,7 @@ def test_a_wide_smooth_turn_is_no_bias(bank_deg):
 
 
 def test_an_accelerometer_that_nobody_calibrated_is_found_out_in_the_air():
-    """6 % too much, as plane erle: begun in a turn no rest shows it, but no climb lasts."""
+    """6 % too much, as plane erle: started in a turn there is no rest to find it, but no climb lasts."""
     scaled = turned_steadily(30.0, 17.0, shake=1.0, seconds=60.0, force_scale=1.06)
     error = np.degrees(euler_columns(scaled[1500:]["ned_from_body"])[:, :2]) - [30.0, 0.0]
     assert np.abs(error).mean() < 1.8

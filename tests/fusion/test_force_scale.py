@@ -1,4 +1,4 @@
-"""An accelerometer that shows too much of gravity: its scale is learnt, and the gates open."""
+"""An accelerometer that reads gravity too large: its scale is estimated, and the gates open."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ RATE_HZ = 50
 
 
 def lying(seconds, scale, airframe, roll=-0.24):
-    """Samples [N] of a vehicle at rest with a roll; its accelerometer shows `scale` times g."""
+    """Samples [N] of a vehicle at rest with a roll; its accelerometer reads `scale` times g."""
     samples = empty(SAMPLE_DTYPE, round(seconds * RATE_HZ))
     rng, count = np.random.default_rng(1), len(samples)
     samples["time_ns"] = 10**9 + np.arange(count) * (10**9 // RATE_HZ)

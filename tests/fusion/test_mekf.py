@@ -103,7 +103,7 @@ def test_the_tilt_of_a_force_turns_it_upright(force):
 
 
 def test_turning_about_down_turns_state_and_covariance_alike():
-    """A measurement along a turned axis before is one along the axis after."""
+    """A measurement along the rotated axis before equals one along the axis after."""
     rng = np.random.default_rng(6)
     state = new_state()[0]
     state["covariance"][:] = covariance(rng, states.AIDED)

@@ -1,4 +1,4 @@
-"""The way back over the tape against the dense solution of the same linear problem."""
+"""The backward pass over the history against the dense solution of the same linear problem."""
 
 import numpy as np
 import pytest
@@ -19,12 +19,12 @@ from ahrs_service.records import ESTIMATE_DTYPE, empty
 from ahrs_service.rotation import multiply_columns
 
 SMALL = 1e-7
-"""Angles so small that turns about different axes add."""
+"""Angles so small that rotations about different axes add."""
 LOWER = np.tril_indices(ERROR_STATES)
 
 
 class Problem:
-    """x' = F x + noise, y = H x + noise, from a known covariance, over few turns.
+    """x' = F x + noise, y = H x + noise, from a known covariance, over few updates.
 
     With `wind_at` the velocity before that node is the one through the air, after it the one over
     ground; only then wind and lag are states of the filter.
@@ -39,7 +39,7 @@ class Problem:
             rotation_s, rate, impulse = rng.normal(size=(3, 3)), *rng.normal(size=(2, 3))
             self.ways.append((rotation_s, rate, impulse))
             noise = rng.uniform(0.0, 0.3, states) * SMALL**2
-            # The same along north and east, so that it is the same in turned axes.
+            # The same along north and east, hence the same in rotated axes.
             for n in (1, VELOCITY + 1, WIND + 1):
                 if n < states:
                     noise[n] = noise[n - 1]
@@ -58,7 +58,7 @@ class Problem:
         return f[: self.n, : self.n]
 
     def dense(self):
-        """States [turns + 1, n] and covariances given all that was measured, in one piece."""
+        """States [turns + 1, n] and covariances given all measurements, in one piece."""
         n, turns = self.n, len(self.ways)
         size = n * (turns + 1)
         joint = np.zeros((size, size))
@@ -107,7 +107,7 @@ class Problem:
 
     def _leave(self, node, row, sample, x, p, correction):
         n = self.n
-        # Part of a correction may come late, as the magnetometer's does between two turns.
+        # Part of a correction may come late, as the magnetometer's does between two updates.
         share = self.rng.uniform()
         node["sample"], node["states"] = sample, n if sample >= self.wind_at else UNAIDED
         node["applied"][:n], node["late"][:n] = share * correction, (1.0 - share) * correction
@@ -152,7 +152,7 @@ def test_the_wind_that_is_found_later_parts_from_the_velocity_before():
 
 
 def rotated_about_down(angle):
-    """Matrix [3, 3] of the turn and the one [n, n] of all error states."""
+    """Matrix [3, 3] of the rotation and the one [n, n] of all error states."""
     c, s = np.cos(angle), np.sin(angle)
     turn, whole = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.eye(ERROR_STATES)
     for n in (0, VELOCITY, WIND):
@@ -168,7 +168,7 @@ def covariance_of(node):
 
 @pytest.mark.parametrize("k", [1, 4])
 def test_what_was_in_other_axes_before_a_heading_was_found_is_turned_to_north(k):
-    """The same tape, up to node k told in axes turned by -angle."""
+    """The same history, up to node k in axes rotated by -angle."""
     angle = 2.0
     nodes, rows = Problem(AIDED, 6, 6).tape()
     other, other_rows = nodes.copy(), rows.copy()
@@ -223,7 +223,7 @@ def test_corrections_and_a_turn_about_down_after_them_add_up():
 
 
 def test_states_without_variance_take_no_part():
-    """A filter that is told a perfect gyro matrix finds the same with these states and without."""
+    """With a gyro matrix given as perfect, results are the same with and without these states."""
     problem = Problem(UNAIDED, 6, 3)
     problem.start[12:, 12:] = 0.0
     for noise in problem.noises:

@@ -44,7 +44,7 @@ class Conversation:
         self.boot()
 
     def boot(self):
-        """Switch the autopilot on anew: its clock restarts and nothing is asked of it."""
+        """Restart the autopilot: its clock starts at 0 and all requests are lost."""
         self.autopilot = SimulatedAutopilot(self._rows, self._loop_hz, self._rates_hz)
         self.boot_s = self.now_s
 
@@ -104,7 +104,7 @@ class Conversation:
         ]
 
     def texts(self, part):
-        """What the component told that contains this."""
+        """Events of the component that contain this text."""
         return [text for _, text in self.told if part in text]
 
 

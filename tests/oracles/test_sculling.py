@@ -18,7 +18,7 @@ SECONDS = 12.0
 
 
 def velocity_error_m_s(motion, t, sample):
-    """Error of the velocity at the last of the times [s]; nothing bounds it once it moves."""
+    """Error of the velocity at the last of the times [s]; it is unbounded once moving."""
     unbounded = replace(
         OTHER,
         velocity_sigma_m_s=(1e6, 1e6, 1e6),

@@ -23,7 +23,7 @@ from ahrs_service.settings import LinkSettings, RecorderSettings, Settings
 IMU = ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU")
 TICK_S = 0.05
 CALM_S = {"simulated": 2.2, "copter": 34.0, "px4": 15.0}
-"""From here on the vehicle hardly turns for some seconds."""
+"""From here on the vehicle hardly rotates for some seconds."""
 REAL = {
     "copter": ("copter_quad106_50hz_reencoded.tlog", 480.0, 530.0),
     "px4": ("px4_auavx2_quad_250hz_reencoded.tlog", 5.0, 35.0),
@@ -242,7 +242,7 @@ class Recorded:
     # -- what the service makes of it ---------------------------------------------------------
 
     def write(self, tail=b""):
-        """Write it as a .tlog; bytes that are no frame stand without a stamp of their own."""
+        """Write it as a .tlog; bytes that are no frame get no stamp."""
         path = self._folder / f"{len(list(self._folder.iterdir()))}.tlog"
         path.write_bytes(
             b"".join(
@@ -265,7 +265,7 @@ class Recorded:
         return Outcome(result, self.start_us, estimator)
 
     def live(self, settings=None):
-        """The estimator after all frames came one by one, each decoded from its bytes."""
+        """The estimator after all frames were given one by one, each decoded from its bytes."""
         estimator, rows = Estimator(settings or Settings()), empty(READING_DTYPE, 1)
         decoder = Decoder(datagrams=True)
         for frame in self.frames:

@@ -61,7 +61,7 @@ def test_highres_imu_disappears_and_another_message_of_the_same_imu_steps_in(fli
     between = (outcome.t_s > 20.6) & (outcome.t_s < 29.9)
     assert set(outcome.estimates["source"][between]) == {ImuSource.RAW_IMU}
     assert outcome.estimates["source"][-1] == ImuSource.HIGHRES_IMU
-    # The same sensor by another message: nothing is aligned anew, and the turn is not lost.
+    # The same sensor by another message: no new alignment, and no rotation is lost.
     assert not {"realigned", "imu_changed", "gap"} & set(outcome.summary.flags)
     assert outcome.tilt_from(original, 20.0, 30.0) < 5.0
     assert outcome.tilt_from(original, 31.0) < 3.0

@@ -1,4 +1,4 @@
-"""The temperature that acts, against the analytic answers of first-order lags."""
+"""The lagged temperature against the analytic responses of first-order lags."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def test_a_sensing_element_that_warms_later_follows_a_step_as_an_exponential():
 
 
 def test_of_a_thermometer_that_lags_the_lag_is_undone():
-    """On a ramp of r degC/s a lag of tau shows r tau too little; nothing of it is left."""
+    """On a ramp of r degC/s a lag of tau reads r tau too low; this is fully corrected."""
     slope = 0.1
     shown = 20.0 + slope * (TIME_S - LAG_S * (1.0 - np.exp(-TIME_S / LAG_S)))
     acting = acting_columns(with_lags(0.0, -LAG_S), shown, TIME_S)

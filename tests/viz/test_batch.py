@@ -198,7 +198,7 @@ def test_trust_is_reported_for_each_second(tmp_path, flight, read):
 
 
 def with_readings(flight):
-    """What the sensor gave for each estimate: off by a bias of its own."""
+    """The sensor's raw reading for each estimate, with a bias."""
     readings = empty(READING_DTYPE, len(flight))
     readings["time_ns"] = flight["time_ns"]
     readings["gyro_rad_s"] = flight["rate_rad_s"] + 0.1

@@ -74,7 +74,7 @@ def test_the_file_of_the_unit_makes_its_output_right(scenario, recordings, calib
     after = np.linalg.norm(accel, axis=1) - 9.80665
     assert np.sqrt(np.mean(after**2)) < 0.6 * np.sqrt(np.mean(before**2))
     assert np.abs(after.mean()) < 0.005
-    # Both benches have a wandering bias of their own, of 2e-4 rad/s; the sensor's is 5e-3.
+    # Both benches have an additional wandering bias of 2e-4 rad/s; the sensor's is 5e-3.
     assert np.abs(gyro.mean(axis=0)).max() < 8e-4
 
 

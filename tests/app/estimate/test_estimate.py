@@ -1,4 +1,4 @@
-"""`ahrs-service estimate`: the answer for plain arrays, by function, command and process."""
+"""`ahrs-service estimate`: attitude of plain arrays, by function, command and process."""
 
 import subprocess
 import sys
@@ -138,7 +138,7 @@ def test_each_profile_gives_an_answer_of_its_own(flight, run):
 
 
 def test_without_a_profile_the_motion_says_it(flight, run, capsys):
-    """The flight turns as a fixed wing does; of half a minute at rest nothing is told."""
+    """The flight is recognised as fixed-wing; from half a minute at rest nothing is recognised."""
     fields, _ = flight
     own = run(only(fields), "--profile", "fixed_wing")["quat"]
     assert run(only(fields))["quat"].tobytes() == own.tobytes()

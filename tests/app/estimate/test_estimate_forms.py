@@ -42,7 +42,7 @@ def test_every_form_of_the_same_speeds_tells_the_same(aided, run, form):
     expected = run(aided, "--profile", "fixed_wing")["quat"]
     assert angle_deg(run(only_imu(aided), "--profile", "fixed_wing")["quat"], expected).max() > 1.0
     answer = run(aided | form(aided), "--profile", "fixed_wing")["quat"]
-    # One turn of the filter may take a held airspeed where another took none.
+    # One filter update may use a held airspeed where another used none.
     assert angle_deg(answer, expected).max() < 0.3
 
 

@@ -56,7 +56,7 @@ def test_other_files_and_places_are_refused(tmp_path, capsys):
         (tmp_path, tmp_path / "out.npz", "directory"),
         (single, tmp_path / "out.npz", "array without a name"),
         (source, tmp_path / "no" / "out.npz", "cannot be written"),
-        (source, source, "input itself"),
+        (source, source, "input file"),
     ]
     for place, out, said in cases:
         assert main(["estimate", "--in", str(place), "--out", str(out)]) == 1

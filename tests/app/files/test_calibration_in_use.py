@@ -115,7 +115,7 @@ def test_from_the_moment_on_the_attitude_goes_on_and_what_was_learnt_of_the_sens
 
 
 def test_settings_and_calibration_that_both_change_in_flight(live, flight_frames, tmp_path):
-    """The prior that the calibration tells holds under both settings."""
+    """The prior from the calibration is used under both settings."""
     known = lagging()
     doubt = Uncertainty(bias_residual=(1e-4,) * 3, bias_turn_on=(1e-3,) * 3)
     known = replace(known, uid=UNIT.hex(), gyro=replace(known.gyro, uncertainty=doubt))
@@ -150,7 +150,7 @@ def test_a_change_of_calibration_is_smoothed_over_on_either_side(live, flight_fr
 def test_the_replay_command_takes_file_folder_or_none(
     simulated_tlog, tmp_path, capsys, monkeypatch
 ):
-    # In a narrow terminal the table breaks the path where its length wants it.
+    # In a narrow terminal the table wraps a long path.
     monkeypatch.setenv("COLUMNS", "250")
     said = []
     for options in (["--calibration", str(SHIPPED / "sim-1.toml")], ["--calibration", "none"]):

@@ -1,4 +1,4 @@
-"""What the daemon cannot open or write: refused with a reason, or told and flown without."""
+"""What the daemon cannot open or write: refused with a reason, or reported and done without."""
 
 import asyncio
 from pathlib import Path

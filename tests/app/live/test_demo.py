@@ -1,4 +1,4 @@
-"""The real `ahrs-service demo`: what it shows, what it leaves, and how it can be stopped."""
+"""The real `ahrs-service demo`: its output, its files, and how it can be stopped."""
 
 import os
 import re

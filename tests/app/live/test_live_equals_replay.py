@@ -65,7 +65,7 @@ def is_own_mark(frame: bytes) -> bool:
 
 
 def with_company(frames: list[bytes]) -> list[bytes]:
-    """Put a ground station and a second vehicle, with an IMU of its own, between the frames."""
+    """Interleave frames of a ground station and of a second vehicle with its own IMU."""
     station, other = Encoder(255, 190), Encoder(2, 1)
     crowd = []
     for i, frame in enumerate(frames):
@@ -205,7 +205,7 @@ def test_a_trim_that_is_reported_in_flight(
         ours = part.estimates["accel_m_s2"]
         readings = part.recording.readings[part.positions]
         turned = np.abs(ours - readings["accel_m_s2"]).max(axis=1) > 0.3
-        # Before the trim only the estimated bias lies between, behind it 6 degrees of gravity.
+        # Before the trim they differ by the estimated bias only, after it by 6 degrees of gravity.
         assert not turned[: len(turned) // 3].any()
         assert turned[-len(turned) // 3 :].all()
 

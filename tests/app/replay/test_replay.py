@@ -1,4 +1,4 @@
-"""Replay: the same bytes as live, and what the summary says of a recording."""
+"""Replay: the same bytes as live, and the summary of a recording."""
 
 import pickle
 

@@ -1,4 +1,4 @@
-"""Marks of the service's own recordings: settings, state, and who may set them."""
+"""Marks in the service's own recordings: settings, state, and who may set them."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""simulate with twins and along recordings: what comes out is what the effects say."""
+"""simulate with twins and along recordings: the output follows the effects."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What is gathered between references that are seldom, uneven or have gaps; jumps of theirs."""
+"""Preintegration between sparse, uneven or interrupted references, and their jumps."""
 
 from dataclasses import replace
 
@@ -78,7 +78,7 @@ def test_a_slow_imu_is_followed_along_its_bends():
 
 
 def test_late_stamps_enter_the_velocity_through_the_force_alone():
-    """The response is that of the force's own lateness, whatever the gyro's does."""
+    """The response is to the delay of the force alone, whatever the gyro's delay."""
     late_s = 0.013
     recorded = recorded_at(uneven(np.random.default_rng(2), 0.1, 0.3), late_s)
     reference = reference_of(recorded)

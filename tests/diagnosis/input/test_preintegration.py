@@ -1,4 +1,4 @@
-"""Turn and velocity gathered between references, against motions known in closed form."""
+"""Rotation and velocity preintegrated between references, against closed-form motions."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation

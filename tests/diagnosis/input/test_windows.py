@@ -1,4 +1,4 @@
-"""Window means and what is gathered until them, against numpy's own sums."""
+"""Window means and integrals up to them, against numpy's sums."""
 
 import numpy as np
 

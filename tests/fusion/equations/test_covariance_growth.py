@@ -1,4 +1,4 @@
-"""What a sample gathers and a turn adds to the covariance, against numbers worked out by hand."""
+"""What samples and updates add to the covariance, against numbers worked out by hand."""
 
 import math
 
@@ -15,7 +15,7 @@ TURN_S = 0.12
 
 
 def level(rotvec=(0.0, 0.0, 0.0)):
-    """At rest since long, nothing gathered, all errors known."""
+    """At rest for long, nothing accumulated, all errors known."""
     state = flying(41)
     stand(state, attitude(rotvec))
     for name in ("covariance", "gyro_matrix", "gyro_bias_rad_s", "accel_bias_m_s2"):
@@ -31,7 +31,7 @@ def test_half_of_what_the_rate_changes_is_not_known():
     """A change of 0.48 rad/s about one axis, evenly spread: 0.48^2 / 48.
 
     So even a change is no bend: three rates 0, 0.48, 0.96 in a row. Rates 0, 0.48, 0 bend by 0.96,
-    of which 1 / 36 is taken for shake that aliases.
+    of which 1 / 36 is assumed to be aliased vibration.
     """
     settings = settings_of(gyro_scale_error_rts=0.0)
     for last, expected in (
@@ -199,7 +199,7 @@ def test_an_attitude_that_is_not_known_at_all_stays_so():
 
 
 def test_the_larger_principal_variance_of_a_tilt_does_not_depend_on_where_north_is():
-    """Variances 0.09 and 0.01 along axes turned by any angle: 0.09."""
+    """Variances 0.09 and 0.01 along axes rotated by any angle: 0.09."""
     for angle in (0.0, 0.4, 1.1, 2.0):
         c, s = math.cos(angle), math.sin(angle)
         turn = np.array([[c, -s], [s, c]])

@@ -81,7 +81,7 @@ def flown(state, seconds, ours, measured, airframe):
 
 
 def unknown_heading():
-    """Level, believed to point 17 deg off north; nothing tells the heading."""
+    """Level, estimated heading 17 deg off north; no heading source."""
     state = flying(24, UNAIDED, sigma=1e-3)
     stand(state, attitude([0.0, 0.0, 0.3]))
     state["velocity_lag_s"], state["measured_time_ns"] = 1e-9, 0
@@ -93,7 +93,7 @@ def unknown_heading():
 
 @pytest.mark.parametrize("turned", [0.8, -2.0])
 def test_a_heading_is_how_the_measured_changes_are_turned_against_ours(turned):
-    """Wind does not matter, it does not change; all turns to where the changes agree."""
+    """Constant wind has no influence; all rotates to where the changes agree."""
     state = unknown_heading()
     c, s = math.cos(turned), math.sin(turned)
 
@@ -157,7 +157,7 @@ def test_a_heading_is_reported_where_the_changes_share_enough(common, is_reporte
         state = unknown_heading()
         state["match"] = (0.0, common * scale, 100.0, 100.0, 5.0)
         ground_velocity._begin_if_it_agrees(state, Airframe.OTHER)
-        # 99.4 and 96.4 of 100 are told; 95 and 92 are not.
+        # 99.4 and 96.4 of 100 are accepted; 95 and 92 are not.
         assert (state["states"] == AIDED) == is_reported
 
 

@@ -1,4 +1,4 @@
-"""How late a magnetometer is and what turns along with it, by numbers worked out by hand."""
+"""Lag of a magnetometer and its attached field, against numbers worked out by hand."""
 
 import math
 

@@ -43,7 +43,7 @@ def component(arrived):
 
 @pytest.fixture(params=["COMMAND_LONG", "COMMAND_INT"])
 def command(component, arrived, request):
-    """Function that gives a command from the ground and returns the answers off the wire."""
+    """Function that sends a command from the ground and returns the replies on the link."""
 
     def command(number, first=0.0, second=0.0, target=(1, 191)):
         if request.param == "COMMAND_LONG":

@@ -147,7 +147,7 @@ def test_one_request_at_a_time_is_under_way(converse):
 
 
 def test_late_answers_to_repeated_requests_are_not_those_of_the_next_one():
-    """A radio link of 1 s there and back: both answers to the first request come, denied."""
+    """A radio link with 1 s round trip: both replies to the first request arrive, denied."""
     intervals = Intervals({"HIGHRES_IMU": 100.0, "ATTITUDE": 10.0})
     sent, on_the_way = [], []
     for now_s in (step * 0.05 for step in range(160)):

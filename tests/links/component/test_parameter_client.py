@@ -104,7 +104,7 @@ def test_px4_says_that_it_has_no_such_name(live, tmp_path):
 
 
 def test_lost_requests_and_lost_values_are_asked_for_again(live, tmp_path):
-    """Of each name up to three answers are lost before one comes."""
+    """For each name up to three replies are lost before one arrives."""
     seen = Counter()
 
     def lose(message):
@@ -126,7 +126,7 @@ def test_lost_requests_and_lost_values_are_asked_for_again(live, tmp_path):
 
 
 def test_a_late_answer_of_before_is_not_taken_for_the_answer(live, tmp_path):
-    """The old value, told once more after the PARAM_SET, must not look like a refusal."""
+    """The old value, reported once more after the PARAM_SET, must not look like a refusal."""
 
     async def scenario():
         async with conversation(live, tmp_path) as (client, far):

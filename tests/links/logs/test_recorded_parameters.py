@@ -21,7 +21,7 @@ def write_tlog(path, frames):
 
 
 def told(autopilot, values, system=1, component=1):
-    """PARAM_VALUEs of all of an autopilot, as its answer to a list."""
+    """PARAM_VALUEs of all parameters of an autopilot, as its reply to PARAM_REQUEST_LIST."""
     parameters = AutopilotParameters(values, autopilot)
     request = dialect.MAVLink_param_request_list_message(system, component)
     message = decode_frame(Encoder(255, 190).pack(request))
@@ -70,7 +70,7 @@ def test_none_and_no_log(tmp_path):
     assert read_recorded_parameters(write_tlog(tmp_path / "a.tlog", [beat(PX4)])).values == {}
     with pytest.raises(RecordingError, match="no such file"):
         read_recorded_parameters(tmp_path / "no.bin")
-    with pytest.raises(RecordingError, match="no log format"):
+    with pytest.raises(RecordingError, match="not a supported log format"):
         read_recorded_parameters(tmp_path / "no.txt")
     (tmp_path / "bad.ulg").write_bytes(b"nonsense")
     with pytest.raises(RecordingError, match="not a ULog"):
@@ -85,7 +85,7 @@ def test_a_real_ulog_against_pyulog(shared):
 
 
 def test_of_two_vehicles_each_keeps_its_own(tmp_path):
-    """The first heard is meant, whoever tells more; another may be asked for."""
+    """The first autopilot heard is used, even if another reports more; another can be selected."""
     second = ardupilot_ins() | {"INS_ACCOFFS_X": ardupilot_ins()["INS_ACCSCAL_X"]}
     few = [frame for frame in told(ARDUPILOT, ardupilot_ins(), 7) if b"INS_ACCOFFS_X" in frame]
     frames = [beat(ARDUPILOT, 7), beat(ARDUPILOT, 2), *told(ARDUPILOT, second, 2), *few]

@@ -13,7 +13,7 @@ FIX_FORMAT = fmt(0x91, "GPS", "QBIHfff", "TimeUS,Status,GMS,GWk,Spd,GCrs,VZ")
 
 
 def log_with_fixes(rate, seconds, tmp_path, jitter_ms=0.0, first_ms=604_790_000):
-    """A log of `seconds` by its own clock, in each of which `rate` of the satellites pass."""
+    """A log of `seconds` on its own clock, each of which lasts `rate` GPS seconds."""
     rng = np.random.default_rng(5)
     records = []
     for n in range(50 * seconds):

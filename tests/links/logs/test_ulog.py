@@ -1,4 +1,4 @@
-"""ULog: what PX4 logs becomes readings in SI units, damage is told, other files are refused."""
+"""ULog: PX4 logs become readings in SI units, damage is reported, other files are refused."""
 
 import struct
 from pathlib import Path

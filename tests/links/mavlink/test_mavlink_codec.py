@@ -231,7 +231,7 @@ def test_frames_that_ask_for_an_unknown_feature_are_refused() -> None:
 
 
 class LinkSeven:
-    """A signer that takes frames of link id 7 and appends a block of its own."""
+    """A signer that accepts frames of link id 7 and appends its own block."""
 
     def sign(self, frame: bytes) -> bytes:
         return frame + b"\x07" + bytes(12)

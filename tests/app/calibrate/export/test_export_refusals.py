@@ -1,4 +1,4 @@
-"""Exports that are interrupted, lost, clamped or refused: nothing is left half in force."""
+"""Exports that are interrupted, lost, clamped or refused: nothing is left half applied."""
 
 import asyncio
 
