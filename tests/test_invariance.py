@@ -93,7 +93,7 @@ def turned(samples, mounting):
 @modes
 @few
 @given(yaw=angle)
-def test_the_heading_at_the_start_turns_the_answer_about_the_vertical(flight, mode, yaw):
+def test_the_heading_at_the_start_rotates_the_result_about_the_vertical(flight, mode, yaw):
     samples = without_mag(flight[0])[:3000]
     north, _ = run(samples, mode, "fixed_wing")
     other, _ = run(samples, mode, "fixed_wing", yaw)
@@ -107,7 +107,7 @@ def test_the_heading_at_the_start_turns_the_answer_about_the_vertical(flight, mo
 @modes
 @few
 @given(declination_deg=st.floats(-180.0, 180.0))
-def test_the_declination_turns_the_answer_about_the_vertical(flight, mode, declination_deg):
+def test_the_declination_rotates_the_result_about_the_vertical(flight, mode, declination_deg):
     samples = flight[0][:3000]
     magnetic, _ = run(samples, mode, "fixed_wing")
     true, _ = run(samples, mode, "fixed_wing", declination_deg=declination_deg)

@@ -141,7 +141,7 @@ def test_only_its_own_imu_is_compensated(imu, source, holds):
     assert told.all() if not holds else not told.any()
 
 
-def test_compensation_comes_before_the_turn_into_the_vehicle():
+def test_compensation_comes_before_the_rotation_to_vehicle_axes():
     calibration = known()
     rows = samples_of(calibration, 20.0)
     dcm = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -150,7 +150,7 @@ def test_compensation_comes_before_the_turn_into_the_vehicle():
     np.testing.assert_allclose(gyro, np.tile(dcm @ RATE, (COUNT, 1)), atol=1e-12)
 
 
-def test_a_clipped_axis_is_seen_although_it_is_turned():
+def test_a_clipped_axis_is_seen_although_it_is_rotated():
     rows = samples_of(Calibration(), 20.0)
     x = 0.1
     rows["vehicle_from_board"] = np.array(

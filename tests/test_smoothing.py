@@ -110,7 +110,7 @@ def test_in_pieces_it_smooths_to_the_same_bytes(flights):
     assert estimates.tobytes() == whole.tobytes()
 
 
-def test_no_turn_end_shows(flights):
+def test_no_step_at_an_update(flights):
     """Where the filter corrects, its attitude jumps; the smoothed one follows the gyro."""
     _, samples = flights[0]
     jumps = []

@@ -119,7 +119,7 @@ def test_noise_alone_gets_no_flexible_curve():
     assert np.median(sizes) <= 1
 
 
-def test_held_out_time_speaks_for_curves_that_are_there_and_against_noise():
+def test_held_out_time_supports_real_curves_and_rejects_noise():
     before, after = hold_out(still_rows(1), ZERO).rms()
     assert after < 0.1 * before
     rows = still_rows(2, drift=0.0)

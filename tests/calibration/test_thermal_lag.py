@@ -80,7 +80,7 @@ def test_one_steady_ramp_does_not_tell_it():
     assert found.high_s - found.low_s > 10.0 * (both.high_s - both.low_s)
 
 
-def test_a_drift_that_is_not_there_tells_no_lag():
+def test_an_absent_drift_gives_no_lag():
     rows = bench_rows(LAG_S)
     found = estimate_lag(rows, (Structure(),) * 3, 20.0, level_outputs(rows))
     assert (found.low_s, found.high_s) == (-LARGEST_LAG_S, LARGEST_LAG_S)

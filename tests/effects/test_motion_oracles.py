@@ -112,14 +112,14 @@ def test_misalignment_shows_in_each_axis_its_share_of_the_others(triad):
         ((0.01, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -math.sin(0.01), math.cos(0.01) - 1.0)),
     ],
 )
-def test_a_mounting_rotation_turns_both_readings(rotvec, rate, expected):
+def test_a_mounting_rotation_rotates_both_readings(rotvec, rate, expected):
     acting = columns(rate_rad_s=rate, force_m_s2=3.0 * np.array(rate))
     found = added("imu_mounting_rotation", acting, rotvec_rad=rotvec)
     np.testing.assert_allclose(found.gyro, [expected], atol=1e-15)
     np.testing.assert_allclose(found.accel, [3.0 * np.array(expected)], atol=1e-15)
 
 
-def test_an_imu_turned_by_0_1_rad_about_x_shows_a_level_vehicle_leaning():
+def test_an_imu_rotated_by_0_1_rad_about_x_reads_a_level_vehicle_as_tilted():
     """rho = (0.1, 0, 0), f = (0, 0, -g): y gets -sin(0.1) * -g = +0.979 m/s^2."""
     found = added("imu_mounting_rotation", columns(force_m_s2=(0, 0, -G)), rotvec_rad=(0.1, 0, 0))
     np.testing.assert_allclose(found.accel, [[0.0, 0.97903136, 0.04899242]], rtol=1e-6, atol=1e-12)

@@ -104,7 +104,7 @@ def test_without_a_nose_the_heading_comes_from_how_both_velocities_change(flight
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_a_receiver_as_noisy_as_the_filter_takes_it_for_tells_the_heading(flight, seed):
+def test_a_receiver_as_noisy_as_assumed_gives_the_heading(flight, seed):
     """Its changes are mostly noise, but many of them together determine the heading."""
     start = 3000
     samples = noisy(heard(flight, 0.1, Airframe.OTHER)[start:], seed)
@@ -115,7 +115,7 @@ def test_a_receiver_as_noisy_as_the_filter_takes_it_for_tells_the_heading(flight
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_noise_alone_tells_no_heading(flight, seed):
+def test_noise_alone_gives_no_heading(flight, seed):
     samples = heard(flight, 0.1, Airframe.OTHER)
     samples["velocity_ned_m_s"] *= 0.0
     _, state = run(noisy(samples, seed))

@@ -115,7 +115,7 @@ def test_first_heading_is_magnetic_north_plus_declination(yaw):
 
 
 @pytest.mark.parametrize("offset", range(10))
-def test_a_slow_magnetometer_is_heard_at_whatever_sample_of_a_turn_it_comes(offset):
+def test_a_slow_magnetometer_is_used_at_any_sample_of_an_update(offset):
     """At the update rate, so it always falls on the same sample of an update."""
     samples, _ = tumble(3.0, still_s=3.0, yaw=1.0)
     slow = np.full_like(samples["mag_ut"], np.nan)
@@ -247,7 +247,7 @@ def test_magnetometer_that_vanishes_and_comes_back():
     assert (np.abs(error[at(3.0) :]) < sigma[at(3.0) :]).all()
 
 
-def test_magnetometer_that_comes_late_turns_attitude_and_velocity():
+def test_magnetometer_that_comes_late_rotates_attitude_and_velocity():
     """The tilt does not move when the heading jumps by 2 rad."""
     samples, attitude = tumble(60.0, yaw=2.0)
     samples["mag_ut"][: at(30.0)] = np.nan

@@ -167,7 +167,7 @@ def covariance_of(node):
 
 
 @pytest.mark.parametrize("k", [1, 4])
-def test_what_was_in_other_axes_before_a_heading_was_found_is_turned_to_north(k):
+def test_what_was_in_other_axes_before_a_heading_was_found_is_rotated_to_north(k):
     """The same history, up to node k in axes rotated by -angle."""
     angle = 2.0
     nodes, rows = Problem(AIDED, 6, 6).tape()
@@ -211,7 +211,7 @@ def _predict(turned, turned_before, node, before):
     turned["variance"] = node["variance"] - predicted[0] + predicted[1]
 
 
-def test_corrections_and_a_turn_about_down_after_them_add_up():
+def test_corrections_and_a_later_rotation_about_down_add_up():
     state = pipeline.new_state()[0]
     state["states"] = AIDED
     correction = state["correction"][:] = np.linspace(0.01, 0.24, ERROR_STATES)

@@ -159,7 +159,7 @@ def test_a_temperature_that_stops_coming_is_reported_after_ten_seconds(flight, u
     ]
 
 
-def test_the_barometers_temperature_is_never_taken_for_the_imus(base, unedited):
+def test_the_barometers_temperature_is_never_used_as_the_imus(base, unedited):
     def hot(message):
         message.temperature = 99.0
         message.fields_updated = (message.fields_updated or 0xEFFF) | 0x1000

@@ -162,7 +162,7 @@ def test_stamps_since_1970_serve_as_well_as_those_since_boot(base, unedited):
     assert (outcome.estimates["time_ns"] - original.estimates["time_ns"] == UNIX_US * 1000).all()
 
 
-def test_two_messages_with_different_clocks_take_turns_without_aligning_anew(flight, unedited):
+def test_two_messages_with_different_clocks_alternate_without_realignment(flight, unedited):
     def unix(message):
         message.time_usec += UNIX_US
 

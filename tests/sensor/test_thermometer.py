@@ -50,7 +50,7 @@ def test_a_step_of_the_thermometer_is_enlarged_by_the_gain_and_no_more():
     assert acting[-1] == pytest.approx(20.1, abs=1e-3)
 
 
-def test_after_a_time_without_the_temperature_that_comes_is_taken_for_all_of_it():
+def test_after_a_time_without_temperature_the_next_one_is_used_for_all_of_it():
     reported = np.full(100, 30.0)
     reported[0], reported[10:20] = 20.0, np.nan
     rows = with_lags(LAG_S, -LAG_S)

@@ -38,7 +38,7 @@ def held(values):
     ],
     ids=["held", "0 where there is none", "vertical 0", "two columns"],
 )
-def test_every_form_of_the_same_speeds_tells_the_same(aided, run, form):
+def test_every_form_of_the_same_speeds_gives_the_same(aided, run, form):
     expected = run(aided, "--profile", "fixed_wing")["quat"]
     assert angle_deg(run(only_imu(aided), "--profile", "fixed_wing")["quat"], expected).max() > 1.0
     answer = run(aided | form(aided), "--profile", "fixed_wing")["quat"]

@@ -83,7 +83,7 @@ def test_live_equals_replay_with_a_calibration(rotate_mb, live, flight_frames, t
 
 
 @pytest.mark.parametrize("rotate_mb", [0.0, 0.05])
-def test_the_unit_that_the_autopilot_tells_in_flight_chooses_of_a_folder(
+def test_the_unit_that_the_autopilot_reports_in_flight_selects_from_a_folder(
     rotate_mb, live, flight_frames, tmp_path
 ):
     other = Calibration(gyro=TriadCalibration(bias=(1.0, 1.0, 1.0)), serial="B", uid="4242")

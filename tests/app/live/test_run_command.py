@@ -62,7 +62,7 @@ class Running:
         self.socket.connect(("127.0.0.1", port))
 
     def fly(self, frames: list[bytes]) -> None:
-        """Send frames in bursts; each ends when the service has acknowledged the command after it."""
+        """Send frames in bursts; each ends when the service has acknowledged a final command."""
         ask = dialect.MAVLink_command_long_message(
             1, 191, dialect.MAV_CMD_REQUEST_MESSAGE, 0, 0, 0, 0, 0, 0, 0, 0
         )

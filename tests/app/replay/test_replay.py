@@ -34,7 +34,7 @@ def test_replay_equals_live_bit_for_bit_on_real_recordings(name, shared):
     assert replay_log(path).summary.digest == live_digest(real_frames(path))
 
 
-def test_the_summary_tells_the_truth(flight):
+def test_the_summary_is_true(flight):
     summary = replay_log(flight).summary
     assert summary.sources == {"HIGHRES_IMU": 1200}
     assert summary.imu_rate_hz == pytest.approx(100.0, rel=1e-6)

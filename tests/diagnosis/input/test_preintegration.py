@@ -12,7 +12,7 @@ def gathered(imu_s, gyro, accel, at_s, excess=(0.0, 0.0, 0.0)):
     return turns, speeds
 
 
-def test_a_steady_turn_is_exact_between_instants_off_the_grid():
+def test_a_steady_rotation_is_exact_between_instants_off_the_grid():
     imu_s = np.arange(0.0, 2.0, 0.005)
     rate = np.array([0.3, -0.8, 1.2])
     gyro, accel = np.tile(rate, (len(imu_s), 1)), np.zeros((len(imu_s), 3))
@@ -58,7 +58,7 @@ def test_coning_converges_with_the_square_of_the_step():
     assert 3.5 < coarse / fine < 4.5
 
 
-def test_force_in_a_turning_body_is_resolved_where_the_interval_begins():
+def test_force_in_a_rotating_body_is_resolved_in_axes_at_the_interval_start():
     imu_s = np.arange(0.0, 2.01, 0.01)
     rate = 0.5
     gyro = np.tile([0.0, 0.0, rate], (len(imu_s), 1))

@@ -110,7 +110,7 @@ def test_what_shakes_makes_the_bias_walk_and_the_velocity_unsure():
     assert state["update_velocity_variance"] == pytest.approx(0.06 * 0.1 * 0.01)
 
 
-def test_over_a_gap_it_may_have_turned_and_flown_anywhere():
+def test_over_a_gap_any_rotation_and_flight_is_possible():
     """0.4 s: 1 rad/s and 3 m/s^2 all the time, not at random."""
     settings, state = settings_of(gyro_scale_error_rts=0.0), level()
     q = state["ned_from_body"].copy()
@@ -144,7 +144,7 @@ def grown(state, update_s=TURN_S, degc=math.nan, is_compensated=False, **given):
     return state["covariance"]
 
 
-def test_a_turn_adds_the_noise_of_its_time():
+def test_an_update_adds_the_noise_of_its_time():
     """Densities squared times 0.12 s; the bias and the wind walk, and the force's variance."""
     state = level()
     state["update_velocity_variance"], state["update_angle_variance"] = 0.3, 1e-4

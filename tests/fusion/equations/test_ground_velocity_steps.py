@@ -92,7 +92,7 @@ def unknown_heading():
 
 
 @pytest.mark.parametrize("turned", [0.8, -2.0])
-def test_a_heading_is_how_the_measured_changes_are_turned_against_ours(turned):
+def test_a_heading_is_the_rotation_of_the_measured_changes_against_ours(turned):
     """Constant wind has no influence; all rotates to where the changes agree."""
     state = unknown_heading()
     c, s = math.cos(turned), math.sin(turned)
@@ -170,7 +170,7 @@ def test_changes_that_are_not_ours_are_not_used():
     assert state["states"] == UNAIDED
 
 
-def test_what_is_to_be_corrected_turns_along_to_the_heading_found():
+def test_pending_corrections_rotate_to_the_heading_found():
     """A quarter to the right: a correction to the north becomes one to the east."""
     state = unknown_heading()
     mekf.settle(state)
@@ -190,7 +190,7 @@ def test_what_is_remembered_is_corrected_as_the_present_velocity():
     np.testing.assert_allclose(state["history_m_s"][:, 5], [1.5, 0.75, 3.0])
 
 
-def test_between_two_turns_the_velocity_is_that_of_the_time_between():
+def test_between_two_updates_the_velocity_is_that_of_the_time_between():
     """From 2 m/s at 10.00 s to 6 at 10.12: 30 ms after the first it is 3 m/s."""
     state = unknown_heading()
     for time_ns, north in ((10 * 10**9, 2.0), (10_120_000_000, 6.0), (10_240_000_000, 0.0)):

@@ -17,7 +17,7 @@ def turned(angle):
 
 @pytest.mark.parametrize("yaw", [0.0, 2.0])
 @pytest.mark.parametrize(("seen", "declination"), [(0.1, 0.0), (-0.1, 0.0), (0.0, 0.1), (0.3, 0.2)])
-def test_a_field_seen_east_of_where_it_points_turns_the_heading_back(seen, declination, yaw):
+def test_a_field_seen_east_of_its_direction_rotates_the_heading_back(seen, declination, yaw):
     """K = P / (P + R), R = (0.06^2 + (40 / 20)^2 * 1e-4) over 10 s, P = 0.04 rad^2."""
     variance = (0.0036 + 4.0 * 1e-4) * OF_A_TURN
     found = taken(facing(yaw), turned(seen), settings_of(declination))
@@ -79,7 +79,7 @@ def test_a_late_reading_belongs_to_the_attitude_of_then(axis, yaw):
     assert abs(state["correction"][2]) < 1e-4
 
 
-def test_a_magnet_that_turns_along_is_taken_out_before_the_lag():
+def test_an_attached_magnet_is_removed_before_the_lag():
     """w x (m - b): an attached field does not rotate."""
     state = facing()
     state["iron_ut"], state["rate_rad_s"] = (5.0, 0.0, 0.0), (0.0, 0.0, 1.0)
@@ -91,7 +91,7 @@ def test_a_magnet_that_turns_along_is_taken_out_before_the_lag():
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.2])
-def test_a_field_freed_of_the_attached_magnet_tells_the_heading(yaw):
+def test_a_field_without_the_attached_magnet_gives_the_heading(yaw):
     """30 uT to the right and 15 up: the field as read misses by far, without them by nothing."""
     state = facing(yaw)
     state["iron_ut"], state["read_misfit_ut2"] = (0.0, 30.0, -15.0), 500.0
@@ -113,7 +113,7 @@ def test_a_field_freed_of_the_attached_magnet_tells_the_heading(yaw):
         (0.3, 0.8, (-math.sin(0.5), math.cos(0.5), 0.0)),
     ],
 )
-def test_a_magnet_turns_the_field_by_its_part_across_the_meridian(yaw, azimuth, across):
+def test_a_magnet_rotates_the_field_by_its_part_across_the_meridian(yaw, azimuth, across):
     """Facing north, iron to the right rotates a field that points north."""
     state = facing(yaw)
     root = np.array([[1.0, 0.2, 0.0], [0.0, 2.0, -0.5], [0.3, 0.0, 1.5]])
@@ -145,7 +145,7 @@ def test_the_variance_of_iron_and_lag_widens_that_of_the_azimuth():
         ((12.0, 16.0), (7.0, 3.0), 0.6 * 3.0 - 0.8 * 7.0),
     ],
 )
-def test_a_lag_turns_the_field_by_what_turns_across_the_meridian(field, turning, across):
+def test_a_lag_rotates_the_field_by_its_motion_across_the_meridian(field, turning, across):
     state = facing()
     state["field_lag_variance_s2"] = 1e-4
     state["mag_turning_ut_s"] = (2.0 * turning[0], 2.0 * turning[1], 9.0)
@@ -153,7 +153,7 @@ def test_a_lag_turns_the_field_by_what_turns_across_the_meridian(field, turning,
     assert found == pytest.approx(1e-4 * across**2, rel=1e-9)
 
 
-def test_the_sigma_tells_where_the_field_itself_may_point():
+def test_the_sigma_covers_the_direction_of_the_field_itself():
     state = facing(variance=0.0064)
     assert heading.sigma(state) == pytest.approx(0.1)
     state["heading_source"] = heading.VELOCITY

@@ -52,7 +52,7 @@ def correction(**parts):
         ((0.0, 0.1, 0.0), (10.0, 0.0, 0.0), (10.0, 0.0, -1.0)),
     ],
 )
-def test_a_later_turn_turns_the_velocity_that_was_added_before(angle, velocity, expected):
+def test_a_later_rotation_rotates_the_velocity_added_before(angle, velocity, expected):
     found = put_together(correction(angle=angle), correction(velocity=velocity))
     np.testing.assert_allclose(found[VELOCITY : VELOCITY + 3], expected, atol=1e-12)
     np.testing.assert_allclose(found[:3], angle, atol=1e-12)
@@ -61,7 +61,7 @@ def test_a_later_turn_turns_the_velocity_that_was_added_before(angle, velocity, 
     np.testing.assert_allclose(other[VELOCITY : VELOCITY + 3], velocity, atol=1e-12)
 
 
-def test_of_two_turns_the_second_is_about_earth_axes():
+def test_of_two_rotations_the_second_is_about_earth_axes():
     """A quarter about north, then one about east: where does east go?."""
     first, second = (0.5 * math.pi, 0.0, 0.0), (0.0, 0.5 * math.pi, 0.0)
     found = put_together(correction(angle=second), correction(angle=first))
@@ -112,7 +112,7 @@ def test_what_was_applied_comes_before_what_is_left():
     np.testing.assert_allclose(before[VELOCITY : VELOCITY + 3], [10.0, 1.0, 0.0], atol=1e-12)
 
 
-def test_before_a_turn_to_north_all_stood_turned_back():
+def test_before_a_rotation_to_north_all_was_rotated_back():
     """Turned right by a quarter: what is east now was north, what is south now was east."""
     node = a_node(rotated_rad=0.5 * math.pi)
     after = correction(velocity=(-2.0, 1.0, 3.0), wind=(-4.0, 5.0))
@@ -222,7 +222,7 @@ def test_the_way_back_by_hand():
     np.testing.assert_allclose(rows["gyro_bias_sigma_rad_s"][:, 0] ** 2, [10 / 9, 19 / 18, 1.0])
 
 
-def test_before_a_heading_was_found_all_is_turned_to_it():
+def test_before_a_heading_was_found_all_is_rotated_to_it():
     """By 0.7 rad to the right, up to the sample before the one at which it was found."""
     nodes, rows = two_nodes(rotated_rad=0.7)
     smoother.smooth(nodes, 3, rows)

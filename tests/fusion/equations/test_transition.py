@@ -135,7 +135,7 @@ def test_a_correction_moves_the_state_to_the_truth_it_stands_for(count):
     np.testing.assert_array_equal(state["applied"], error)
 
 
-def test_turned_about_down_all_that_is_reported_in_earth_axes_turns():
+def test_rotated_about_down_all_that_is_reported_in_earth_axes_rotates():
     """By 0.7 rad: what was north is (cos, sin). Nothing in body axes changes."""
     angle = 0.7
     state = flying(4)

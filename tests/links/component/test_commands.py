@@ -146,7 +146,7 @@ def test_the_heartbeat_asked_for_has_the_state_of_the_last_tick(component, comma
         assert heartbeat.system_status == number
 
 
-def test_the_version_tells_mavlink_2_and_how_parameters_travel(command):
+def test_the_version_reports_mavlink_2_and_the_parameter_encoding(command):
     ack, version = command(REQUEST, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
     assert ack.result == ACCEPTED
     assert version.capabilities == (

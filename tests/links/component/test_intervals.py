@@ -105,7 +105,7 @@ def test_an_imu_message_granted_that_never_comes_is_replaced(converse):
     assert len(flight.texts("does not come")) == 1
 
 
-def test_a_slow_imu_is_not_taken_for_a_silent_one(converse):
+def test_a_slow_imu_is_not_mistaken_for_a_silent_one(converse):
     flight = converse(settings=with_imu_rate(0.5))
     flight.run(60.0)
     assert flight.texts("does not come") == flight.texts("asking again") == []
@@ -296,7 +296,7 @@ def test_a_restart_is_seen_by_its_clock_and_all_is_asked_anew(converse):
     assert flight.component.timesync.jumps == 1
 
 
-def test_a_vehicle_lost_and_returned_is_asked_anew(converse):
+def test_a_vehicle_lost_and_returned_is_asked_again(converse):
     flight = converse()
     flight.run(20.0)
     flight.cut = True

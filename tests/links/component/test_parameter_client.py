@@ -125,7 +125,7 @@ def test_lost_requests_and_lost_values_are_asked_for_again(live, tmp_path):
     run(scenario)
 
 
-def test_a_late_answer_of_before_is_not_taken_for_the_answer(live, tmp_path):
+def test_a_late_earlier_reply_is_not_mistaken_for_the_reply(live, tmp_path):
     """The old value, reported once more after the PARAM_SET, must not look like a refusal."""
 
     async def scenario():

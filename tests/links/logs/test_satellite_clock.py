@@ -48,7 +48,7 @@ def test_a_quartz_or_a_short_log_keeps_its_own_time(rate, seconds, tmp_path):
     assert not any("satellites" in note for note in recording.notes)
 
 
-def test_time_of_the_week_that_stands_still_tells_no_rate(tmp_path):
+def test_a_constant_time_of_the_week_gives_no_rate(tmp_path):
     assert log_with_fixes(0.0, 120, tmp_path).clock_rate == 1.0
 
 

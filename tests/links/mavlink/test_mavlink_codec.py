@@ -96,7 +96,7 @@ def test_what_is_packed_is_decoded(frame: bytes, system: int, component: int) ->
     assert repr(again.to_dict()) == repr(message.to_dict())
 
 
-def test_the_encoder_counts_its_frames_and_speaks_mavlink_2() -> None:
+def test_the_encoder_counts_its_frames_and_uses_mavlink_2() -> None:
     encoder = Encoder(3, 191)
     packed = [encoder.pack(HEARTBEAT) for _ in range(300)]
     assert all(frame[0] == 0xFD for frame in packed)

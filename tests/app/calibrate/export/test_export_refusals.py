@@ -55,7 +55,7 @@ def test_two_autopilots_on_a_link_need_a_choice(live, folder, capsys):
     assert "written and read back" in printed
 
 
-def test_an_interruption_tells_how_far_it_came(live, folder, capsys):
+def test_an_interruption_reports_its_progress(live, folder, capsys):
     """As by Ctrl-C, which cancels what runs."""
     said = []
 
