@@ -304,9 +304,9 @@ def test_offsets_of_exactly_nothing_are_remarked_on():
 
 def test_a_lag_of_the_thermometer_is_reported_with_its_size():
     """0.002 m/s^2 per degC, 90 s, 1 degC a minute: 0.003 m/s^2."""
-    (told,) = [t for t in to_ardupilot(ramp(thermal_lag_s=90.0)).remarks if "lag" in t]
-    assert "lag of 90 s" in told
-    assert "0.003 m/s^2" in told
+    (remark,) = [t for t in to_ardupilot(ramp(thermal_lag_s=90.0)).remarks if "lag" in t]
+    assert "lag of 90 s" in remark
+    assert "0.003 m/s^2" in remark
 
 
 @pytest.mark.parametrize(

@@ -30,9 +30,9 @@ KNOWN = {
 def test_offsets_were_applied_and_temperature_was_not(shared, name):
     offset, is_copy = KNOWN[name]
     recorded = read_recorded_parameters(shared / "flights" / name)
-    told = already_compensated(recorded.values, ImuSource.SCALED_IMU, recorded.autopilot)
-    assert f"offsets up to {offset:.3f} m/s^2" in told[0]
-    assert not any("compensated temperature" in text for text in told)
+    reported = already_compensated(recorded.values, ImuSource.SCALED_IMU, recorded.autopilot)
+    assert f"offsets up to {offset:.3f} m/s^2" in reported[0]
+    assert not any("compensated temperature" in text for text in reported)
     assert bool(recorded.notes) is is_copy
     assert all(form.span_degc is None for form in forms_in_force(recorded.values).values())
 

@@ -282,9 +282,9 @@ def test_a_folder_passes_over_what_cannot_be_used_and_says_why(tmp_path):
     newer = replace(good, provenance=Provenance("2024-02-01"))
     folder = folder_of(tmp_path, a=good, b=newer, bad=Calibration(serial="G", verdict=BAD))
     (folder / "broken.toml").write_text("[gyro")
-    shelf = CalibrationStore(SensorSettings(calibration=str(folder), unit="g"))
-    assert shelf.choose("").path.name == "b.toml"
-    assert [any(w in note for note in shelf.notes) for w in ("span 8", "not valid TOML")] == [1, 1]
+    store = CalibrationStore(SensorSettings(calibration=str(folder), unit="g"))
+    assert store.choose("").path.name == "b.toml"
+    assert [any(w in note for note in store.notes) for w in ("span 8", "not valid TOML")] == [1, 1]
 
 
 def test_a_folder_of_nothing_and_a_missing_file_are_refused(tmp_path):

@@ -64,10 +64,12 @@ def uneven(rng, step_s, share):
 def test_a_perfect_imu_gathers_what_uneven_references_tell():
     at_s = uneven(np.random.default_rng(1), 0.1, 0.5)
     recorded = recorded_at(at_s)
-    gathered = gather(recorded, reference_of(recorded))
-    assert gathered.parts == 5
-    np.testing.assert_allclose(gathered.misfit, 0.0, atol=6e-5)
-    np.testing.assert_allclose(gathered.ned_from_body, wxyz(attitude(gathered.time_s)), atol=2e-5)
+    preintegrated = gather(recorded, reference_of(recorded))
+    assert preintegrated.parts == 5
+    np.testing.assert_allclose(preintegrated.misfit, 0.0, atol=6e-5)
+    np.testing.assert_allclose(
+        preintegrated.ned_from_body, wxyz(attitude(preintegrated.time_s)), atol=2e-5
+    )
 
 
 def test_a_slow_imu_is_followed_along_its_bends():
@@ -108,11 +110,11 @@ def test_gaps_of_either_begin_anew():
         gyro_rad_s=recorded.gyro_rad_s[there],
         accel_m_s2=recorded.accel_m_s2[there],
     )
-    gathered = gather(cut, reference_of(cut))
-    begins = at_s[:-1][gathered.is_broken]
+    preintegrated = gather(cut, reference_of(cut))
+    begins = at_s[:-1][preintegrated.is_broken]
     assert np.all(((begins > 9.9) & (begins < 13.0)) | ((begins > 19.9) & (begins < 20.51)))
     assert len(begins) > 20
-    np.testing.assert_allclose(gathered.misfit[~gathered.is_broken], 0.0, atol=2e-5)
+    np.testing.assert_allclose(preintegrated.misfit[~preintegrated.is_broken], 0.0, atol=2e-5)
 
 
 def test_a_velocity_reported_seldom_is_compared_at_its_own_instants():

@@ -30,11 +30,11 @@ def test_the_integral_is_the_corrected_trapezoid_sum_in_earth_axes():
     pieces = 0.5 * (ned[1:] + ned[:-1]) * steps_s[:, None]
     slopes = (ned[2:] - ned[:-2]) / (steps_s[1:] + steps_s[:-1])[:, None]
     pieces[1:-1] -= np.diff(slopes, axis=0) * steps_s[1:-1, None] ** 2 / 12.0
-    gathered = np.vstack([np.zeros((1, 3)), np.cumsum(pieces, axis=0)])
+    integral = np.vstack([np.zeros((1, 3)), np.cumsum(pieces, axis=0)])
     found = gathered_means(np.stack(axes, axis=2).copy(), added, steps_s, WINDOW)
-    np.testing.assert_allclose(found, by_reshape(gathered), atol=1e-13)
+    np.testing.assert_allclose(found, by_reshape(integral), atol=1e-13)
     found = gathered_means(np.stack(axes, axis=2).copy(), added, steps_s, WINDOW, 3)
-    np.testing.assert_allclose(found, by_reshape(gathered[::3]), atol=1e-13)
+    np.testing.assert_allclose(found, by_reshape(integral[::3]), atol=1e-13)
 
 
 def gathering_error(step_s):
@@ -43,10 +43,10 @@ def gathering_error(step_s):
     added = np.zeros((len(time_s), 3))
     added[:, 0] = np.cos(4.0 * np.pi * time_s)
     axes = np.tile(np.eye(3), (len(time_s), 1, 1))
-    gathered = gathered_means(axes, added, np.diff(time_s), 1)[:, 0]
+    integral = gathered_means(axes, added, np.diff(time_s), 1)[:, 0]
     first, last = (round(at / step_s) for at in (0.1, 0.46))
     exact = np.sin(4.0 * np.pi * time_s) / (4.0 * np.pi)
-    return abs((gathered[last] - gathered[first]) - (exact[last] - exact[first]))
+    return abs((integral[last] - integral[first]) - (exact[last] - exact[first]))
 
 
 def test_the_integral_converges_with_the_fourth_power_of_the_step():

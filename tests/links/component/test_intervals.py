@@ -42,7 +42,7 @@ def test_every_message_is_asked_once_granted_and_measured(converse):
         assert rate.mean_hz == pytest.approx(wanted[name], rel=0.02)
     assert found["HIGHRES_IMU"].measured_hz == pytest.approx(200.0, rel=0.01)
     assert [len(flight.asked(name)) for name in wanted] == [1] * 8
-    assert flight.told == [("info", "adopted vehicle 1/1 (ARDUPILOTMEGA)")]
+    assert flight.events == [("info", "adopted vehicle 1/1 (ARDUPILOTMEGA)")]
 
 
 @pytest.mark.parametrize(

@@ -86,8 +86,8 @@ def test_all_are_read_and_one_is_set(live, tmp_path, kind, autopilot):
 def test_a_name_that_the_autopilot_has_not_is_missing_from_what_is_read(live, tmp_path):
     async def scenario():
         async with conversation(live, tmp_path) as (client, _):
-            told = await client.read(["INS_NOT_THERE", "INS_ACCOFFS_X"])
-            assert told == {"INS_ACCOFFS_X": ParamValue(0.0)}
+            found = await client.read(["INS_NOT_THERE", "INS_ACCOFFS_X"])
+            assert found == {"INS_ACCOFFS_X": ParamValue(0.0)}
 
     run(scenario)
 
