@@ -72,7 +72,7 @@ class Served:
         await self.until(lambda: sum(words in text for _, text in self.said) >= times)
 
     async def decoded(self, frames: int) -> None:
-        """Wait until so many good frames were decoded."""
+        """Wait until this many good frames were decoded."""
         await self.until(lambda: self.frames >= frames)
 
     async def received(self, count: int) -> None:
@@ -127,7 +127,7 @@ class Vehicle:
             self.up.set()
 
     async def prepare(self, port: int = 0) -> "Vehicle":
-        """Make what must be there before the daemon opens its link."""
+        """Create what must exist before the daemon opens its link."""
         if self.kind == "serial":
             self._open_pty()
         elif self.kind in ("tcp", "udpout"):

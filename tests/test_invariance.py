@@ -135,7 +135,7 @@ def test_how_the_sensor_is_mounted_in_the_hand_does_not_matter(swing, mode, moun
 @modes
 @pytest.mark.parametrize("seed", range(4))
 def test_a_flight_is_the_same_however_the_sensor_is_mounted(flight, mode, seed):
-    """With a bound on the velocity that is alike on all axes, and with every gate in play."""
+    """With a bound on the velocity that is equal on all axes, and with every gate in use."""
     samples = without_mag(flight[0])
     mounting = np.random.default_rng(seed).normal(size=(1, 4))
     mounting /= np.linalg.norm(mounting)
@@ -227,7 +227,7 @@ def test_single_precision_costs_nothing(flight, mode, frame):
 
 
 def in_motion(swing, seed, seconds):
-    """A motion that is under way when the first sample comes: samples, true attitude."""
+    """A motion already under way at the first sample: samples, true attitude."""
     motion, t = shaken(swing, seed), regular(seconds, 100.0)
     t = t[t > 3.3]
     return motion.samples(t), motion.attitude(t)

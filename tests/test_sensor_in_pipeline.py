@@ -47,7 +47,7 @@ def samples_of(calibration, temperature, gap=None):
 
 
 def compensated(calibration, samples, state=None):
-    """Rate and force as the pipeline takes them: the estimates' less what was learnt."""
+    """Rate and force as used by the pipeline: the estimates' less the estimated biases."""
     state = pipeline.new_state() if state is None else state
     gyro, accel = np.empty((len(samples), 3)), np.empty((len(samples), 3))
     estimates = empty(ESTIMATE_DTYPE, len(samples))

@@ -204,7 +204,7 @@ def test_without_a_thermal_part_ardupilot_s_own_is_switched_off():
 
 
 def test_a_calibration_made_on_top_of_ardupilot_s_replaces_both():
-    """The autopilot took away 0.3 m/s^2 and scaled by 1.02; what it left is what was calibrated."""
+    """The autopilot subtracted 0.3 m/s^2 and scaled by 1.02; the result was then calibrated."""
     below = forms_of_ardupilot(
         {
             "INS_TCAL1_ENABLE": 0,

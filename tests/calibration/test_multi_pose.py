@@ -42,7 +42,7 @@ def test_without_noise_the_known_matrix_is_found_exactly():
 
 
 def test_a_rotation_of_all_axes_is_unobservable_and_left_alone():
-    """N = K A with any K: what is found is its symmetric part in the polar decomposition."""
+    """N = K A with any K: the fit gives its symmetric part in the polar decomposition."""
     matrix = Rotation.from_rotvec([0.01, -0.02, 0.005]).as_matrix() @ np.linalg.inv(C)
     force = G * spread(24) @ matrix.T + B
     fit = fit_accelerometer(poses_of(force))
@@ -160,7 +160,7 @@ def test_the_gyros_fit_is_that_of_scipy(bench):
 
 
 def test_held_out_directions_stay_out_of_the_fit():
-    """Poses that err alike in one direction cannot vouch for each other."""
+    """Poses with the same error in one direction cannot confirm each other."""
     up = spread(14)
     force = G * up @ np.linalg.inv(C).T + B
     doubled = np.concatenate([force, force])

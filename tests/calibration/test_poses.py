@@ -164,7 +164,7 @@ def test_a_bias_that_wanders_is_known_as_far_as_it_wandered():
             poses["gyro_rad_s"] = walk + rng.normal(0.0, noise, (20, 3))
             poses["gyro_error_rad_s"] = noise
             bias, variance = rest_bias(poses)
-            # Of the session after: another draw of the wander, or the mean that was looked for.
+            # Of the next session: another draw of the wander, or the mean in question.
             later = rng.normal(0.0, wander, 3) if wandering else np.zeros(3)
             squares.append((bias - later) ** 2 / variance)
         errors.append(np.mean(squares))

@@ -25,7 +25,7 @@ def test_a_thermometer_that_follows_is_undone():
     thermometer = element_degc(time, element, LAG_S)
     undone = element_degc(time, thermometer, -LAG_S)
     assert np.abs(thermometer - element)[50:].max() > 2.0
-    # The rate is that of a line through 30 s: what the curve bends in them is left.
+    # The rate is that of a line through 30 s; the curvature within them remains.
     assert np.abs(undone - element)[50:-10].max() < 0.1
 
 

@@ -14,7 +14,7 @@ from ahrs_service.effects.undo import added_to, ideal_motion
 from ahrs_service.rotation import quaternion_columns
 
 LOST = ("time_offset", "clock_drift", "low_pass", "saturation")
-"""What comes back only as far as the motion is smooth, or not at all."""
+"""Effects that are invertible only for smooth motion, or not at all."""
 
 INVERTIBLE = [effect for effect in EFFECTS.values() if effect.name not in LOST]
 
@@ -156,7 +156,7 @@ def test_a_low_pass_has_the_gain_and_phase_of_the_analog_one():
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("uneven_s", [0.0, 2e-3])
 def test_a_low_pass_of_a_ramp_lags_as_the_analog_one(order, uneven_s):
-    """What is drawn linearly, a ramp of unit slope, comes out late by the delay of the filter."""
+    """A ramp of unit slope is delayed by the delay of the filter."""
     rng = np.random.default_rng(9)
     time_s = np.arange(100) * 0.02 + uneven_s * rng.uniform(size=100)
     base = columns_of(count=100, step_s=0.02)

@@ -48,7 +48,7 @@ def test_a_start_in_a_turn_has_the_right_bank(bank_deg):
 
 @pytest.mark.parametrize("bank_deg", [-8.0, 5.0])
 def test_a_wide_smooth_turn_is_no_bias(bank_deg):
-    """0.05 and 0.08 rad/s: no gyro errs so much, and what rests does not shake so."""
+    """0.05 and 0.08 rad/s: too much for a gyro bias or for vibration at rest."""
     estimates = turned_steadily(bank_deg, 17.0, shake=1.0)
     running = estimates[estimates["phase"] == Phase.RUNNING]
     assert np.abs(running["gyro_bias_rad_s"]).max() < 0.02

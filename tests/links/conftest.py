@@ -26,7 +26,7 @@ def arrived():
 
 
 class Conversation:
-    """Component and autopilot tick together; what is to go wrong is set from outside.
+    """Component and autopilot tick together; faults are set from outside.
 
     `deaf` no command reaches the autopilot; `lose_acks` so many answers are lost; `refuse` answers
     SET_MESSAGE_INTERVAL of these messages with this result; `withhold` never arrive. `sent` are

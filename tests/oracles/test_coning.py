@@ -17,7 +17,7 @@ SECONDS = 12.0
 
 
 def estimates_of(samples, gyro_sample):
-    """The gate never opens once it moves: what follows is strapdown integration alone.
+    """The gate never opens once it moves: from then on it is strapdown integration alone.
 
     By the rate, since at the onset of a motion the norm of the force changes to second order only.
     """

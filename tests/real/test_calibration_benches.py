@@ -1,4 +1,4 @@
-"""The procedures on real benches: noise of the sensors' class, and poses that are not there."""
+"""The procedures on real benches: noise of the sensors' class, and missing poses."""
 
 import json
 

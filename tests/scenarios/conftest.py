@@ -1,4 +1,4 @@
-"""Recordings edited frame by frame, and what the service makes of them."""
+"""Recordings edited frame by frame, and their replays."""
 
 import copy
 import math
@@ -184,7 +184,7 @@ class Recorded:
         return self.frames[-1].t_s
 
     def edit(self, rewrite: Callable[[Frame], Iterable[Frame]], start_s=0.0, stop_s=math.inf):
-        """Put what `rewrite` gives in the place of each frame from `start_s` to `stop_s`."""
+        """Replace each frame from `start_s` to `stop_s` by the result of `rewrite`."""
         out = []
         for frame in self.frames:
             out.extend(rewrite(frame) if start_s <= frame.t_s < stop_s else (frame,))

@@ -33,7 +33,7 @@ def recordings(tmp_path_factory):
 
 @pytest.fixture
 def calibrate(capsys):
-    """Run the command line; exit code, JSON or None, and what was said."""
+    """Run the command line; exit code, JSON or None, and the printed text."""
 
     def run(*words):
         code = main(["calibrate", *map(str, words)])
@@ -139,7 +139,7 @@ def change(flight, **columns):
 
 
 def bad(name):
-    """A bench recording that something is wrong with, and what must be said."""
+    """A faulty bench recording, and the expected message."""
     six, many = flight_of("six-position", 110.0), flight_of("multi-pose", 130.0)
     gyro, accel = six.rows["gyro_rad_s"], six.rows["accel_m_s2"]
     tremor = math.radians(3.0) * np.sin(2.0 * np.pi * 9.0 * six.rows["time_s"])[:, None]

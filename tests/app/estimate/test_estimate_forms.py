@@ -1,4 +1,4 @@
-"""The same speeds in other forms, and what looks like other units."""
+"""The same speeds in other forms, and data that looks like other units."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from ahrs_service.app.cli import main
 from tests.app.estimate.conftest import angle_deg
 
 SLOW_ROWS = 20
-"""At 100 Hz: speeds that come five times a second."""
+"""At 100 Hz, with speeds at 5 Hz."""
 
 
 @pytest.fixture(scope="module")

@@ -53,7 +53,7 @@ def folder_of(tmp_path, **calibrations):
 
 
 def serve(live, tmp_path, sensor, frames, **recorder):
-    """Serve `frames` over UDP, recorded; return the daemon and what it estimated and said."""
+    """Serve `frames` over UDP, recorded; return the daemon, its estimates and its output."""
 
     async def scenario():
         recording = RecorderSettings(directory=str(tmp_path / "flights"), **recorder)

@@ -58,7 +58,7 @@ def test_damage_between_good_frames(
                     for part in (piece[:cut], piece[cut:]):
                         while part and not vehicle.send(part):
                             await asyncio.sleep(0.001)
-                # A forged length holds back what follows until so many bytes came.
+                # A forged length holds back the following bytes until that many arrived.
                 sent = sum(map(len, pieces[: start + 50]))
                 await served.received(sent)
             await served.decoded(len(flight_frames))

@@ -173,7 +173,7 @@ def test_an_autopilot_that_restarts(live: SimpleNamespace, tmp_path: Path) -> No
     flags, phase = result.estimates["flags"], result.estimates["phase"]
     (jumps,) = np.nonzero(flags & Flag.CLOCK_JUMP)
     assert len(jumps) == 1
-    # Its samples kept coming, so what was known of the attitude still holds.
+    # Its samples continued, so the attitude is still valid.
     assert not (flags & Flag.REALIGNED).any()
     (running,) = np.nonzero(phase == Phase.RUNNING)
     assert running[0] < jumps[0]

@@ -1,4 +1,4 @@
-"""A live session and the replay of its recording give the same bytes, whatever happened in it."""
+"""A live session and the replay of its recording give the same bytes, in every kind of session."""
 
 import asyncio
 import contextlib
@@ -376,6 +376,6 @@ def test_damaged_state_bytes_never_break_the_kernels(
 
 
 def test_the_decoder_and_the_recording_hold_the_same_frames(flight_frames: list[bytes]) -> None:
-    """What the tests above send is what a decoder makes of it, so equality means something."""
+    """The frames sent above decode to the intended messages, so the equality is meaningful."""
     decoder = Decoder()
     assert [frame for _, frame in decoder.feed(b"".join(flight_frames))] == flight_frames

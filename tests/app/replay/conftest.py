@@ -65,7 +65,7 @@ def flight(tmp_path):
 
 
 def live_digest(frames, settings=None):
-    """What the service computes when the frames come one by one."""
+    """The service's estimates for frames received one by one."""
     estimator, decoder = Estimator(settings or Settings()), Decoder()
     rows = empty(READING_DTYPE, 1)
     for received_us, frame in frames:

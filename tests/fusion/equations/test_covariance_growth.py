@@ -85,7 +85,7 @@ def test_at_rest_nothing_moves_and_what_falls_falls(samples_are_means):
 
 
 def test_what_shakes_makes_the_bias_walk_and_the_velocity_unsure():
-    """From 0 to 2 m/s^2 forward: the mean is 1; 0.5 * 2^2 of shake, by 0.03^2 of it a second.
+    """From 0 to 2 m/s^2 forward: the mean is 1; 0.5 * 2^2 of vibration, 0.03^2 of it a second.
 
     norm(f) = 12: 5 % of the 2.19335 m/s^2 beyond g, and 0.4 m/s per root of a second.
     """
@@ -190,7 +190,7 @@ def test_an_axis_not_known_widens_the_angle_about_where_it_points():
 
 
 def test_an_attitude_that_is_not_known_at_all_stays_so():
-    """Beyond pi^2 the row shrinks by the root; what it shares with others stays in proportion."""
+    """Beyond pi^2 the row shrinks by the root; its covariances shrink in proportion."""
     state = level()
     p = state["covariance"]
     p[2, 2], p[2, 7], p[7, 2], p[7, 7] = 4.0 * math.pi**2, 6.0, 6.0, 8.0

@@ -1,4 +1,4 @@
-"""Wind brought in and let go, a heading found by how velocities change, and what is remembered."""
+"""Wind added and removed, a heading from velocity changes, and the stored velocities."""
 
 import math
 

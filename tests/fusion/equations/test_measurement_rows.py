@@ -103,7 +103,7 @@ def test_the_velocity_through_the_air_is_measured_along_the_body(drag_s, airfram
 
 
 def tilt_seen(state, before, felt):
-    """The tilt that `before` sees where `state` is the truth: gravity, and what its bias adds."""
+    """The tilt measured by `before` where `state` is the truth: gravity plus its bias."""
     body = felt + state["accel_bias_m_s2"] - before["accel_bias_m_s2"]
     return tilt_of(before["dcm"] @ body)
 
@@ -125,7 +125,7 @@ def test_the_tilt_that_gravity_shows_is_that_of_attitude_and_bias(count, axis):
 
 
 def test_at_rest_velocity_tilt_and_rate_are_measured():
-    """Velocity 0, whatever the heading: that of the truth in the axes that are believed, C C_t' v.
+    """Velocity 0, for any heading: that of the truth in the estimated axes, C C_t' v.
 
     Tilt by the force, (0.12 / 3 + 0.02^2) / g^2 over 0.4 s; the gyro's bias by the mean rate.
     """

@@ -13,7 +13,7 @@ from tests.standing import WING, G, settings_of, standing
 
 
 def test_rest_is_followed_over_half_a_second():
-    """0.1 s: weight 0.1 / 0.6 = 1/6 of what differs from the mean, after the mean has moved."""
+    """0.1 s: weight 0.1 / 0.6 = 1/6 of the difference from the mean, after the mean has moved."""
     state = standing()
     state["mean_rate_rad_s"], state["rate_variance"], state["force_variance"] = 0.0, 6e-4, 0.012
     gyro, accel = np.array([0.06, 0.0, 0.0]), np.array([0.0, 0.3, -G])

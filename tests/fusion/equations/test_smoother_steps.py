@@ -1,4 +1,4 @@
-"""Each step of the smoother by itself: corrections put together, taken back, and written out."""
+"""Each step of the smoother alone: corrections combined, removed, and written out."""
 
 import math
 
@@ -113,7 +113,7 @@ def test_what_was_applied_comes_before_what_is_left():
 
 
 def test_before_a_rotation_to_north_all_was_rotated_back():
-    """Turned right by a quarter: what is east now was north, what is south now was east."""
+    """Rotated right by 90 degrees: what is east now was north, what is south now was east."""
     node = a_node(rotated_rad=0.5 * math.pi)
     after = correction(velocity=(-2.0, 1.0, 3.0), wind=(-4.0, 5.0))
     ps, before = np.diag(np.arange(1.0, 25.0)), np.empty(ERROR_STATES)
@@ -195,7 +195,7 @@ def assert_turned(rows, turns):
 
 
 def test_what_came_late_at_a_node_comes_before_what_later_nodes_found():
-    """All of what the second node found holds at the first.
+    """All corrections found at the second node apply at the first.
 
     There half a radian about down came late: the smoothed attitude has that first, then 0.6 about
     north. Half-way between the nodes the correction is the mean of both.

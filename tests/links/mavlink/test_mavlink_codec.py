@@ -1,4 +1,4 @@
-"""Frames to messages and back, whatever the bytes; pymavlink itself is the oracle."""
+"""Frames to messages and back, for any bytes; pymavlink itself is the oracle."""
 
 import struct
 from itertools import pairwise

@@ -56,7 +56,7 @@ def test_two_autopilots_on_a_link_need_a_choice(live, folder, capsys):
 
 
 def test_an_interruption_reports_its_progress(live, folder, capsys):
-    """As by Ctrl-C, which cancels what runs."""
+    """As by Ctrl-C, which cancels the running task."""
     said = []
 
     async def scenario():
