@@ -79,23 +79,23 @@ def replay_recording(
     smooth: bool = False,
 ) -> ReplayResult:
     """Replay a recording that was read, as `replay_log` does."""
-    told = advance or _silent
+    report_progress = advance or _silent
     calibration, origin = _calibration(recording, settings, sensor)
     marks = _obeyed(recording, settings, calibration)
     smoother = Smoother() if smooth else None
     replay = _Replay(recording, settings, marks, calibration, smoother)
     replay.calibration = origin
     for share in replay.run():
-        told("estimating", share)
+        report_progress("estimating", share)
     estimates, positions = replay.columns()
     if not len(estimates):
         raise RecordingError(_no_sample(recording, replay.settings))
     smoothed = None
     if smoother is not None:
-        told("smoothing", 0.0)
+        report_progress("smoothing", 0.0)
         smoothed = estimates.copy()
         smoother.smooth(smoothed)
-    told("comparing", 0.0)
+    report_progress("comparing", 0.0)
     summary = summarise(
         recording,
         replay.estimator,
