@@ -1,4 +1,4 @@
-"""What acts on an IMU at a few instants, all of it unknown but what a test gives."""
+"""Inputs of the effects on an IMU at a few instants, all unknown except those a test gives."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from ahrs_service.effects.catalogue import effect_of
 
 
 def columns(count: int = 1, **given: Any) -> Columns:
-    """Columns of `count` instants: NaN but for what is `given`, so a wrong covariate shows.
+    """Columns of `count` instants: NaN except `given`, to expose the use of a wrong covariate.
 
     Scalars hold at every instant. The attitude is level, to the north, unless given.
     """

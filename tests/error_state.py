@@ -61,7 +61,7 @@ def stand(state: Any, q: Any) -> None:
 
 
 def moved(state: Any, error: Any) -> Any:
-    """The state that is `error` [24] away: angles about earth axes turn, all else adds."""
+    """The state at an error of `error` [24]: angles rotate about earth axes, all else adds."""
     other = state.copy()
     turn = Rotation.from_rotvec(error[:3])
     x, y, z, w = (turn * Rotation.from_quat(np.roll(state["ned_from_body"], -1))).as_quat(

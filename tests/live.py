@@ -60,7 +60,7 @@ class Served:
         assert not self.failures, self.failures
 
     async def until(self, holds: Callable[[], Any]) -> None:
-        """Wait until `holds()`; what no estimate or log line tells is looked at now and then."""
+        """Wait until `holds()`; without a new estimate or log line it is polled."""
         async with asyncio.timeout(HANG_S):
             while not holds():
                 self._news.clear()
@@ -72,11 +72,11 @@ class Served:
         await self.until(lambda: sum(words in text for _, text in self.said) >= times)
 
     async def decoded(self, frames: int) -> None:
-        """Wait until so many good frames were decoded."""
+        """Wait until this many good frames were decoded."""
         await self.until(lambda: self.frames >= frames)
 
     async def received(self, count: int) -> None:
-        """Wait until so many bytes came over the link."""
+        """Wait until this many bytes arrived over the link."""
         await self.until(lambda: self.daemon.link.counts.bytes_in >= count)
 
     @property
@@ -91,7 +91,7 @@ class Served:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all estimates so far, as the daemon tells it."""
+        """SHA-256 of all estimates so far, as reported by the daemon."""
         return self.daemon.estimator.digest.hexdigest()
 
 
@@ -99,7 +99,7 @@ class Vehicle:
     """The far end of a daemon's link: sends bytes, keeps what comes back.
 
     `kind` is the kind of the daemon's link; `uri` what the daemon is to open, known after
-    `prepare`; `meet` brings both together. `answer` makes frames of what is heard.
+    `prepare`; `meet` connects both. `answer` makes reply frames from those received.
     """
 
     def __init__(self, kind: str, folder: Path) -> None:
@@ -127,7 +127,7 @@ class Vehicle:
             self.up.set()
 
     async def prepare(self, port: int = 0) -> "Vehicle":
-        """Make what must be there before the daemon opens its link."""
+        """Create what must exist before the daemon opens its link."""
         if self.kind == "serial":
             self._open_pty()
         elif self.kind in ("tcp", "udpout"):
@@ -152,7 +152,7 @@ class Vehicle:
         self.up.set()
 
     async def meet(self, uri: str) -> None:
-        """Come together with the daemon whose link has this URI."""
+        """Connect to the daemon whose link has this URI."""
         if self.kind in ("udpin", "tcpin"):
             far = uri.replace(self.kind, {"udpin": "udpout", "tcpin": "tcp"}[self.kind])
             self.link = open_link(far, self._on_bytes, self._on_state)
@@ -162,7 +162,7 @@ class Vehicle:
 
     @property
     def state(self) -> LinkState:
-        """Whether what is sent can arrive, as a link says it."""
+        """Whether frames sent can arrive, as reported by the link."""
         return LinkState.UP if self.link is None else self.link.state
 
     def send(self, data: bytes) -> bool:
@@ -184,10 +184,10 @@ class Vehicle:
 
 
 class FarAutopilot:
-    """An autopilot at the far end of a link: it beats and answers for its parameters.
+    """An autopilot at the far end of a link: it sends heartbeats and serves its parameters.
 
-    `lose_request(message)` and `lose_answer(message)` say what is lost on the way; `die_after` so
-    many PARAM_SET nothing arrives any more, in either direction.
+    `lose_request(message)` and `lose_answer(message)` choose what is lost; after `die_after`
+    PARAM_SET messages the link is dead in both directions.
     """
 
     def __init__(self, parameters: AutopilotParameters, autopilot: int, vehicle: Vehicle) -> None:

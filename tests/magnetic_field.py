@@ -40,7 +40,7 @@ def facing(yaw: float = 0.0, variance: float = 0.04, tilt_variance: float = 1e-4
 
 
 def taken(state: Any, field_ned: Any, settings: Any = None) -> Any:
-    """Correct by one reading of a field that is there while the attitude is as it is believed."""
+    """Correct by one reading of a field, measured at the estimated attitude."""
     heading.gather(state, state["dcm"].T @ np.asarray(field_ned, np.float64), TURN_S)
     heading.correct(settings_of() if settings is None else settings, state)
     return state["correction"][2]

@@ -1,4 +1,4 @@
-"""A vehicle that stands level, of which all is known."""
+"""A level vehicle at rest with a fully known state."""
 
 from typing import Any
 

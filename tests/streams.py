@@ -1,4 +1,4 @@
-"""Streams of samples whose right answer is known, and the pipeline over them."""
+"""Streams of samples with a known attitude, and the pipeline over them."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Every number with a name says where it comes from."""
+"""Every named number has a documented source."""
 
 import ast
 import io
@@ -111,7 +111,7 @@ def without_a_word(source: str) -> list[str]:
 @pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_every_number_says_where_it_comes_from(path: Path) -> None:
     missing = without_a_word(path.read_text())
-    assert not missing, f"{path}: no word on {', '.join(missing)}"
+    assert not missing, f"{path}: no explanation of {', '.join(missing)}"
 
 
 @pytest.mark.parametrize(

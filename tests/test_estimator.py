@@ -1,4 +1,4 @@
-"""The estimator as a whole: how the readings are cut into calls changes nothing."""
+"""The estimator as a whole: splitting the readings into calls changes nothing."""
 
 from itertools import pairwise
 
@@ -109,7 +109,7 @@ def test_new_settings_hold_from_the_next_sample_on(readings, whole):
     estimator.configure(Settings(gate=GateSettings(norm_m_s2=1e-6)))
     tail = estimator.take(readings[900:]).copy()
     assert head.tobytes() == whole[0][: head.nbytes]
-    # The gate is judged once per turn.
+    # The gate is evaluated once per update.
     judged = tail["time_ns"] > tail["time_ns"][0] + 100_000_000
     assert (tail["gate"][judged & (tail["phase"] == Phase.RUNNING)] != 0).all()
 

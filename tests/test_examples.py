@@ -1,4 +1,4 @@
-"""The examples of docstrings run as they stand, beside a flight and a bench."""
+"""The examples of docstrings run as written, in a folder with a flight and a bench."""
 
 import doctest
 import importlib

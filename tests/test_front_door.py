@@ -114,12 +114,12 @@ def test_the_tree_of_errors_is_as_drawn():
     for name, above in drawn.items():
         assert issubclass(there[name], AhrsError)
         assert above is None or there[name].__bases__[0] is there[above], name
-        told = "(also a ValueError)" in next(
+        is_value_error = "(also a ValueError)" in next(
             line
             for line in errors.__doc__.splitlines()
             if f" {name} " in line or line.strip() == name
         )
-        assert issubclass(there[name], ValueError) == told, name
+        assert issubclass(there[name], ValueError) == is_value_error, name
 
 
 def test_no_error_stands_outside_the_tree():

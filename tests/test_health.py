@@ -1,4 +1,4 @@
-"""What the service says of itself, and when."""
+"""The health reported by the service, and when it changes."""
 
 import pytest
 
@@ -21,7 +21,7 @@ TOLD = {
     Flag.LOW_RATE: "below 20 Hz",
 }
 NOT_TOLD = {Flag.DUPLICATE, Flag.REORDERED}
-"""A single one of these harms nothing."""
+"""A single one of these is harmless."""
 
 
 def estimate(flags=0, phase=Phase.RUNNING):

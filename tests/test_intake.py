@@ -73,7 +73,7 @@ def test_highres_takes_over_from_raw_at_like_rates_and_stays():
     assert samples["source"][-1] == ImuSource.HIGHRES_IMU
     assert state["source_changes"] == 1
     assert np.count_nonzero(samples["flags"] & Flag.SOURCE_CHANGED) == 1
-    # RAW_IMU and HIGHRES_IMU are the same sensor, so nothing has to be aligned anew.
+    # RAW_IMU and HIGHRES_IMU are the same sensor, so no new alignment is needed.
     assert not (samples["flags"] & Flag.IMU_CHANGED).any()
 
 
@@ -205,7 +205,7 @@ def trim(x_rad, y_rad):
 
 
 def test_samples_tell_how_the_board_stands_from_the_trim_on():
-    """Rate and force stay as the sensor gave them; the magnetic field is turned here."""
+    """Rate and force stay as measured; the magnetic field is rotated here."""
     stream = imu(ImuSource.HIGHRES_IMU, 100, 1)
     stream["gyro_rad_s"], stream["mag_ut"] = (0.1, 0.2, 0.3), (20.0, 0.0, 40.0)
     x, y = 0.03, -0.05

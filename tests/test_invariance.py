@@ -64,7 +64,7 @@ def shaken(swing, seed):
 
 
 def tumbled(swing, seed):
-    """Whole turns about all axes, which is where an error of scale or axes adds up."""
+    """Full rotations about all axes, where an error of scale or axes adds up."""
     rng = np.random.default_rng(seed)
     angle, push = rng.uniform(0.03, 0.12, (3, 3)), rng.uniform(0.1, 1.5, (3, 3))
     turns = np.stack([np.full((3, 3), 4.0), angle, rng.uniform(0.0, 6.3, (3, 3))], axis=-1)
@@ -93,7 +93,7 @@ def turned(samples, mounting):
 @modes
 @few
 @given(yaw=angle)
-def test_the_heading_at_the_start_turns_the_answer_about_the_vertical(flight, mode, yaw):
+def test_the_heading_at_the_start_rotates_the_result_about_the_vertical(flight, mode, yaw):
     samples = without_mag(flight[0])[:3000]
     north, _ = run(samples, mode, "fixed_wing")
     other, _ = run(samples, mode, "fixed_wing", yaw)
@@ -107,7 +107,7 @@ def test_the_heading_at_the_start_turns_the_answer_about_the_vertical(flight, mo
 @modes
 @few
 @given(declination_deg=st.floats(-180.0, 180.0))
-def test_the_declination_turns_the_answer_about_the_vertical(flight, mode, declination_deg):
+def test_the_declination_rotates_the_result_about_the_vertical(flight, mode, declination_deg):
     samples = flight[0][:3000]
     magnetic, _ = run(samples, mode, "fixed_wing")
     true, _ = run(samples, mode, "fixed_wing", declination_deg=declination_deg)
@@ -120,7 +120,7 @@ def test_the_declination_turns_the_answer_about_the_vertical(flight, mode, decli
 @few
 @given(mounting=st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: math.hypot(*q) > 0.3))
 def test_how_the_sensor_is_mounted_in_the_hand_does_not_matter(swing, mode, mounting):
-    """A hand moves alike along all axes; the constant heading of the answer may differ."""
+    """A hand moves equally along all axes; the constant heading of the result may differ."""
     mounting = np.array([mounting]) / math.hypot(*mounting)
     samples = shaken(swing, 3).samples(regular(15.0, 100.0))
     straight, _ = run(samples, mode)
@@ -135,7 +135,7 @@ def test_how_the_sensor_is_mounted_in_the_hand_does_not_matter(swing, mode, moun
 @modes
 @pytest.mark.parametrize("seed", range(4))
 def test_a_flight_is_the_same_however_the_sensor_is_mounted(flight, mode, seed):
-    """With a bound on the velocity that is alike on all axes, and with every gate in play."""
+    """With a bound on the velocity that is equal on all axes, and with every gate in use."""
     samples = without_mag(flight[0])
     mounting = np.random.default_rng(seed).normal(size=(1, 4))
     mounting /= np.linalg.norm(mounting)
@@ -227,7 +227,7 @@ def test_single_precision_costs_nothing(flight, mode, frame):
 
 
 def in_motion(swing, seed, seconds):
-    """A motion that is under way when the first sample comes: samples, true attitude."""
+    """A motion already under way at the first sample: samples, true attitude."""
     motion, t = shaken(swing, seed), regular(seconds, 100.0)
     t = t[t > 3.3]
     return motion.samples(t), motion.attitude(t)
@@ -261,7 +261,7 @@ def test_the_gyros_matrix_is_found_in_motion_within_its_sigma(swing, seed):
     variances = np.diag(state["covariance"][0])[GYRO_MATRIX : GYRO_MATRIX + 9]
     sigma = np.sqrt(variances).reshape(3, 3)
     assert (np.abs(found - truth) < 3.0 * sigma).all()
-    # What this motion tells it found; what only the heading would tell stays in doubt.
+    # States observable in this motion were found; those that need a heading stay uncertain.
     told = sigma < 0.5 * 0.004
     assert told.sum() >= 3
     assert np.linalg.norm((found - truth)[told]) < 0.5 * np.linalg.norm(truth[told])

@@ -139,7 +139,7 @@ def test_a_kernel_called_by_a_kernel_has_no_way_in_from_python_until_python_call
     script = "import numpy as np\nfrom ahrs_service.fusion.nested import element, outer\n"
     script += "x = np.array([1.0, 2.0])\n"
     script += "print(outer(x), len(element.part.overloads), len(element.overloads))\n"
-    # Python's call finds nothing of the other in the cache, and the other nothing of it.
+    # Neither call finds the other's code in the cache.
     script += "print(element(x, 1), len(element.part.overloads), len(element.overloads))\n"
     # One for both of the literal numbers 0 and 1.
     assert copy(script) == ["3.0", "1", "0", "2.0", "1", "1"]

@@ -1,4 +1,4 @@
-"""A million samples: rotation stays a rotation, covariance a covariance, and nothing wears out."""
+"""A million samples: quaternion and covariance stay valid, and nothing degrades."""
 
 import math
 
@@ -81,7 +81,7 @@ def test_a_million_samples_leave_rotation_and_covariance_sound(lap, mode, airfra
 
 @pytest.mark.parametrize("mode", ["velocity", "gated"])
 def test_minutes_without_accelerometer_are_doubt_and_no_damage(lap, mode):
-    """The tilt is lost and says so; with the accelerometer a filter in motion finds it again."""
+    """The tilt is lost and its sigma covers it; with the accelerometer it is found again."""
     samples, truth, force = lap[0].copy(), lap[1], lap[0]["accel_m_s2"]
     for number, state, estimates in flown(samples, mode, "hand_held"):
         assert (estimates["attitude_sigma_rad"] <= math.pi * (1.0 + 1e-12)).all()

@@ -1,4 +1,4 @@
-"""The pipeline on streams whose right answer is known."""
+"""The pipeline on streams with a known attitude."""
 
 import math
 

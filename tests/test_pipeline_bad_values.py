@@ -11,7 +11,7 @@ from ahrs_service.rotation import (
 from tests.streams import run, still
 
 
-def test_one_gyro_spike_is_held_back_and_a_real_fast_turn_is_not():
+def test_one_gyro_spike_is_held_back_and_a_real_fast_rotation_is_not():
     spiked = still(400)
     spiked["gyro_rad_s"][300, 0] = 25.0
     estimates = run(spiked)

@@ -64,7 +64,7 @@ def test_gap_duplicate_late_and_jump_are_separated():
 @pytest.mark.parametrize("jump_s", [-7.5, -1.1, 61.0, 1e6])
 @pytest.mark.parametrize("burst", [1, 20], ids=["singly", "in bursts"])
 def test_a_clock_jump_with_samples_that_keep_coming_keeps_the_attitude(jump_s, burst):
-    """Also where a link delivers in bursts, so that receipts stand still and then step."""
+    """Also where a link delivers in bursts: receipt times stay constant, then step."""
     samples = turning()
     samples["received_ns"] = samples["received_ns"][np.arange(1200) // burst * burst]
     whole = run(samples)
@@ -120,7 +120,7 @@ def test_a_clock_jump_is_aligned_anew_after_a_long_gap_or_one_of_unknown_length(
     np.testing.assert_allclose(roll[800:], -0.5, atol=1e-6)
 
 
-def test_a_log_whose_receipts_are_its_stamps_does_not_tell_how_long_a_jump_back_was():
+def test_a_log_with_receipts_equal_to_stamps_hides_the_length_of_a_jump_back():
     samples = still(1200)
     samples["time_ns"][800:] -= 5_500_000_000
     samples["received_ns"] = samples["time_ns"]
@@ -130,7 +130,7 @@ def test_a_log_whose_receipts_are_its_stamps_does_not_tell_how_long_a_jump_back_
 
 
 @pytest.mark.parametrize("rate_hz", [10.0, 50.0, 200.0])
-def test_a_clock_set_back_by_little_is_found_and_loses_no_turn(rate_hz):
+def test_a_clock_set_back_by_little_is_found_and_loses_no_rotation(rate_hz):
     samples = turning(1200, rate_hz)
     whole = run(samples)
     samples["time_ns"][700:] -= 900_000_000
@@ -143,7 +143,7 @@ def test_a_clock_set_back_by_little_is_found_and_loses_no_turn(rate_hz):
 
 
 def test_a_gap_is_not_hidden_by_a_clock_set_back_by_little():
-    """The first samples after the gap look late; the receipts tell that it was long."""
+    """The first samples after the gap look late; the receipt times reveal its length."""
     samples = received(still(1200))
     samples["received_ns"][600:] += 8_000_000_000
     samples["time_ns"][600:] -= 500_000_000

@@ -1,4 +1,4 @@
-"""The state of the pipeline: the same bytes however a stream is cut, compiled or not."""
+"""The state of the pipeline: the same bytes for any splitting of a stream, compiled or not."""
 
 import hashlib
 import os

@@ -158,7 +158,7 @@ STILL = np.zeros((50, 3))
 @pytest.mark.parametrize(
     ("words", "match"),
     [
-        ({"gyr": STILL, "acc": STILL}, "neither rate_hz nor t is there; give rate_hz in Hz"),
+        ({"gyr": STILL, "acc": STILL}, "neither rate_hz nor t is given; give rate_hz in Hz"),
         ({"gyr": STILL, "acc": STILL[1:], "rate_hz": 1.0}, r"acc has shape \(49, 3\).* as gyr has"),
         ({"gyr": STILL, "acc": STILL, "rate_hz": -1.0}, "rate_hz = -1.0; give one number above 0"),
         (

@@ -1,4 +1,4 @@
-"""The Python that the front page shows, run as it stands, one block after the other."""
+"""The Python code of the front page, run as written, one block after the other."""
 
 import re
 from pathlib import Path

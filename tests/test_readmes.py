@@ -119,7 +119,7 @@ def test_no_line_of_prose_is_endless(path):
 
 
 @each_readme
-def test_no_document_speaks_of_a_machine(path):
+def test_no_document_mentions_a_machine(path):
     for folder in (ROOT.parent, Path.home(), Path(sys.prefix)):
         assert f"{folder}/" not in path.read_text()
 

@@ -7,7 +7,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1] / "ahrs_service"
 DIVIDED = {"app", "blind", "diagnosis", "links"}
-"""Rooms that have rooms of their own; a module beside these stands by itself."""
+"""Packages with sub-packages that have their own rules; other modules are single."""
 
 LOWEST = {"errors", "records", "constants"}
 """What every room may know."""
@@ -181,7 +181,7 @@ MAY_KNOW = {
     },
     "app.cli": {"app.files"},
 }
-"""What the modules of each room may import directly, beside `LOWEST` and their own room."""
+"""What the modules of each room may import directly, besides `LOWEST` and their own room."""
 
 MATHEMATICS = {
     "__future__",

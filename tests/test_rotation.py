@@ -62,7 +62,7 @@ def test_quaternions_come_back_but_for_their_sign(q):
 
 @kernels
 @given(roll=angle, pitch=pitch, yaw=angle)
-def test_angles_turn_in_the_order_yaw_pitch_roll(roll, pitch, yaw):
+def test_angles_rotate_in_the_order_yaw_pitch_roll(roll, pitch, yaw):
     about = [
         np.array(rotation.from_rotation_vector(*vector))
         for vector in ((0.0, 0.0, yaw), (0.0, pitch, 0.0), (roll, 0.0, 0.0))
@@ -88,7 +88,7 @@ def test_the_convention_by_hand(euler, body, ned):
 
 @kernels
 @given(p=quaternions(), q=quaternions(), v=vector)
-def test_a_product_turns_as_one_after_the_other(p, q, v):
+def test_a_product_rotates_as_one_after_the_other(p, q, v):
     v = np.array([v])
     once = rotate_columns(multiply_columns(p, q)[None], v)
     twice = rotate_columns(p[None], rotate_columns(q[None], v))
@@ -98,7 +98,7 @@ def test_a_product_turns_as_one_after_the_other(p, q, v):
 
 @kernels
 @given(q=quaternions(), v=vector)
-def test_the_inverse_turns_back_and_lengths_stay(q, v):
+def test_the_inverse_rotates_back_and_lengths_stay(q, v):
     v = np.array([v])
     turned = rotate_columns(q[None], v)
     np.testing.assert_allclose(rotate_columns(inverse_columns(q[None]), turned), v, atol=1e-12)

@@ -47,7 +47,7 @@ def samples_of(calibration, temperature, gap=None):
 
 
 def compensated(calibration, samples, state=None):
-    """Rate and force as the pipeline takes them: the estimates' less what was learnt."""
+    """Rate and force as used by the pipeline: the estimates' less the estimated biases."""
     state = pipeline.new_state() if state is None else state
     gyro, accel = np.empty((len(samples), 3)), np.empty((len(samples), 3))
     estimates = empty(ESTIMATE_DTYPE, len(samples))
@@ -95,7 +95,7 @@ def test_a_missing_temperature_leaves_the_drift_out_and_is_reported():
 
 
 def test_stale_temperature_is_gone_on_with():
-    """The intake goes on with the last temperature and flags it; the step does as it is told."""
+    """The intake keeps the last temperature and flags it; the step uses the one given."""
     calibration = known(1.0)
     rows = samples_of(calibration, np.r_[np.full(50, 10.0), np.full(COUNT - 50, 20.0)])
     rows["flags"][100:] = Flag.TEMPERATURE_STALE
@@ -141,7 +141,7 @@ def test_only_its_own_imu_is_compensated(imu, source, holds):
     assert told.all() if not holds else not told.any()
 
 
-def test_compensation_comes_before_the_turn_into_the_vehicle():
+def test_compensation_comes_before_the_rotation_to_vehicle_axes():
     calibration = known()
     rows = samples_of(calibration, 20.0)
     dcm = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -150,7 +150,7 @@ def test_compensation_comes_before_the_turn_into_the_vehicle():
     np.testing.assert_allclose(gyro, np.tile(dcm @ RATE, (COUNT, 1)), atol=1e-12)
 
 
-def test_a_clipped_axis_is_seen_although_it_is_turned():
+def test_a_clipped_axis_is_seen_although_it_is_rotated():
     rows = samples_of(Calibration(), 20.0)
     x = 0.1
     rows["vehicle_from_board"] = np.array(

@@ -1,4 +1,4 @@
-"""The smoothed attitude of whole flights: better, honest, whole where the filter began anew."""
+"""The smoothed attitude of whole flights: better, consistent, complete across realignments."""
 
 import itertools
 import math
@@ -80,7 +80,7 @@ def test_smoothed_is_closer_to_the_truth_and_knows_how_close(flights):
         for n, rows in enumerate((causal, smoothed)):
             tilt[n].append(errors(truth, rows)[running, :2])
         sigma = smoothed["attitude_sigma_rad"][running, :2]
-        # The causal sigma moves at turns only, the smoothed one in between as well.
+        # The causal sigma changes at updates only, the smoothed one in between as well.
         assert (sigma < 1.03 * causal["attitude_sigma_rad"][running, :2]).all()
         nees.append((tilt[1][-1] / sigma) ** 2)
     before, after = (rms_deg(np.concatenate(one)) for one in tilt)
@@ -110,8 +110,8 @@ def test_in_pieces_it_smooths_to_the_same_bytes(flights):
     assert estimates.tobytes() == whole.tobytes()
 
 
-def test_no_turn_end_shows(flights):
-    """Where the filter corrects, its attitude jumps; the smoothed one turns with the gyro."""
+def test_no_step_at_an_update(flights):
+    """Where the filter corrects, its attitude jumps; the smoothed one follows the gyro."""
     _, samples = flights[0]
     jumps = []
     for estimates in smooth(SETTINGS, IDEAL, samples):

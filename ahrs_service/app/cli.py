@@ -22,10 +22,10 @@ COMMANDS: Final = {
         "ahrs_service.app.estimate.command",
         "attitude of plain arrays (.npz in, .npz out)",
     ),
-    "calibrate": ("ahrs_service.app.calibrate.command", "calibrate a sensor, or look at one"),
+    "calibrate": ("ahrs_service.app.calibrate.command", "calibrate a sensor, show a calibration"),
     "diagnose": (
         "ahrs_service.app.diagnose.command",
-        "name what an IMU does that its twin does not",
+        "name physical effects in an IMU that its twin lacks",
     ),
     "compile": (
         "ahrs_service.app.compile.command",
@@ -34,7 +34,7 @@ COMMANDS: Final = {
     "play": ("ahrs_service.app.live.play", "play a recording over a link in real time"),
     "prove": (
         "ahrs_service.app.prove.command",
-        "hide physics in recordings and score its discovery",
+        "hide effects in recordings and score their detection",
     ),
     "simulate": ("ahrs_service.app.simulate.command", "fly the simulated autopilot over a link"),
     "settings": (

@@ -1,6 +1,6 @@
-"""Which vehicle and which IMU of a recording is meant, for every command that reads one.
+"""Which vehicle and which IMU of a recording to use, for every command that reads one.
 
-What the options say holds; else what a recording of this service says of its own session; else the
+The options come first; then, in a recording of this service, the settings of its session; then the
 first autopilot heard and its best IMU message.
 """
 
@@ -26,7 +26,7 @@ _OPTIONS = {
     "imu": "imu_source",
     "temperature": "temperature_source",
 }
-"""Option and the setting of the intake that it is."""
+"""Each option and its setting of the intake."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,12 +48,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--temperature",
         choices=("imu", "highres_imu"),
-        help="whose temperature: the IMU's own, or HIGHRES_IMU's field (of some recordings)",
+        help="source of the temperature: the IMU's own, or HIGHRES_IMU's field (some recordings)",
     )
 
 
 def asked_intake(arguments: argparse.Namespace) -> IntakeSettings | None:
-    """Return the intake's settings that the arguments ask for, None where they leave it open."""
+    """Return the intake's settings that the arguments select, None where they select none."""
     given = {
         setting: value
         for option, setting in _OPTIONS.items()
@@ -105,11 +105,11 @@ def intake_of(
 
 
 def _vehicle_kept(recording: Recording) -> Vehicle:
-    """Return the vehicle of the session that a recording goes on with, after a rotation."""
+    """Return the vehicle of the session that a recording continues, after a file rotation."""
     for mark in recording.marks:
         if mark.kind == MarkKind.STATE and mark.reading == 0:
             estimator = Estimator(Settings())
-            # A state of another version is the replay's to refuse; it tells no vehicle here.
+            # The replay refuses a state of another version; here it identifies no vehicle.
             with contextlib.suppress(StateError):
                 estimator.restore(mark.data)
                 state = estimator.intake_state[0]
@@ -118,7 +118,7 @@ def _vehicle_kept(recording: Recording) -> Vehicle:
 
 
 def chosen_imu(recording: Recording, settings: IntakeSettings) -> ChosenImu:
-    """Return the samples chosen; RecordingError where no reading becomes one."""
+    """Return the selected samples; RecordingError where no reading becomes one."""
     chosen = choose_imu(recording.readings, settings)
     if not len(chosen.samples):
         raise RecordingError(

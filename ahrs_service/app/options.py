@@ -14,9 +14,9 @@ def add_settings(parser: argparse.ArgumentParser, with_file: bool = True) -> Non
     parser.add_argument(
         "--profile",
         metavar="NAME",
-        help=f"how the vehicle moves: {', '.join(profiles.names())}, or a {profiles.SUFFIX} file "
+        help=f"class of vehicle: {', '.join(profiles.names())}, or a {profiles.SUFFIX} file "
         "like those in configs/airframes (default: by the vehicle type on the link, else unknown); "
-        "--config and --set change what it says",
+        "--config and --set override it",
     )
     if with_file:
         parser.add_argument("--config", metavar="FILE", help="settings as TOML, see configs/")
@@ -35,8 +35,8 @@ def add_calibration(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--calibration",
         metavar="FILE|DIR",
-        help="calibration of the sensor, or a folder of which that of this unit is taken (by the "
-        "number of the autopilot's board, or sensor.unit); none for none",
+        help="calibration of the sensor, or a folder from which that of this unit is used (by the "
+        'number of the autopilot\'s board, or sensor.unit); "none" to use none',
     )
     parser.add_argument(
         "--force-calibration",
@@ -46,7 +46,7 @@ def add_calibration(parser: argparse.ArgumentParser) -> None:
 
 
 def sensor_of(arguments: argparse.Namespace, settings: SensorSettings) -> SensorSettings:
-    """Return `settings` with what the options of `add_calibration` say above them."""
+    """Return `settings` with the options of `add_calibration` applied."""
     if arguments.calibration is not None:
         settings = dataclasses.replace(settings, calibration=arguments.calibration)
     if arguments.force_calibration:
@@ -61,7 +61,7 @@ def has_settings(arguments: argparse.Namespace) -> bool:
 
 
 def settings_of(arguments: argparse.Namespace) -> Settings:
-    """Return the settings of a profile, above it those of a file, above it those of `--set`."""
+    """Return the settings of a profile, overridden by a file, overridden by `--set`."""
     path = getattr(arguments, "config", None)
     return config_file.load(path, arguments.overrides, arguments.profile)
 
@@ -75,7 +75,7 @@ def positive(text: str) -> float:
 
 
 def positive_or_inf(text: str) -> float:
-    """Return the number above 0 that `text` is, for argparse; `inf` is one too."""
+    """Return the number above 0 that `text` is, for argparse; `inf` is allowed."""
     return math.inf if _number(text) == math.inf else positive(text)
 
 
@@ -83,7 +83,7 @@ def not_negative(text: str) -> float:
     """Return the number that `text` is, for argparse; it must be finite and not below 0."""
     value = _number(text)
     if not 0.0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text} is not a number from 0 on")
+        raise argparse.ArgumentTypeError(f"{text} is not a number of 0 or more")
     return value
 
 
@@ -102,7 +102,7 @@ def port(text: str) -> int:
 
 
 def new_file(text: str) -> Path:
-    """Return the path of a file to be written, for argparse: before the work that fills it."""
+    """Return the path of a file to be written, for argparse: checked before the work starts."""
     path = Path(text)
     if path.is_dir():
         raise argparse.ArgumentTypeError(f"{text} is a folder; give a file")

@@ -33,7 +33,7 @@ class Latency:
 
 
 def gate_text(phase: int, gate: int) -> str:
-    """Say the gate's state and reasons: `open`, `closed: norm + rate`, `aligning`."""
+    """Return the gate's state and reasons: `open`, `closed: norm + rate`, `aligning`."""
     if phase != Phase.RUNNING:
         return Phase(phase).name.lower()
     if not gate:
@@ -44,7 +44,7 @@ def gate_text(phase: int, gate: int) -> str:
 
 @dataclass(slots=True)
 class GateShares:
-    """Time per gate state, from the estimates' own stamps; gaps over 1 s are not counted."""
+    """Time per gate state, from the estimates' stamps; gaps over 1 s are not counted."""
 
     time_ns: dict[tuple[int, int], int] = field(default_factory=dict)
     _last_ns: int = 0
@@ -78,7 +78,7 @@ def _as_shares(time_ns: dict[tuple[int, int], int]) -> dict[str, float]:
     total = sum(time_ns.values()) or 1
     named: dict[str, int] = {}
     for key, value in time_ns.items():
-        # While it aligns, every state of the gate has the same name.
+        # During alignment every state of the gate has the same name.
         text = gate_text(*key)
         named[text] = named.get(text, 0) + value
     ordered = sorted(named.items(), key=lambda item: -item[1])
@@ -87,7 +87,7 @@ def _as_shares(time_ns: dict[tuple[int, int], int]) -> dict[str, float]:
 
 @dataclass(slots=True)
 class Session:
-    """What a live session did so far.
+    """Counters of a live session.
 
     `published` messages with our attitude, `not_sent` frames the link refused;
     `first_attitude_s` from the start of the service [s].

@@ -41,13 +41,13 @@ _TEMPERATURES: Final = ("T", "Temp")
 _GPS_CLOCKS: Final = ("TimeUS", "T")
 """In the GPS records of old logs TimeMS is the satellites' time and T the autopilot's."""
 _BOARD: Final = re.compile(rb"\b([0-9A-F]{8}) ([0-9A-F]{8}) ([0-9A-F]{8})\b")
-"""The number of the board in three words, as one of the first messages of a log gives it."""
+"""The board's number in three words, from one of the first messages of a log."""
 _FIRST_TEXTS: Final = 10
 _VEHICLES: Final = ((b"Plane", 1), (b"Copter", 2), (b"Rover", 10), (b"Sub", 12))
-"""MAV_TYPE by the firmware's name, as the first messages of a log give it."""
+"""MAV_TYPE by the firmware's name, from the first messages of a log."""
 _VELOCITIES: Final = ("XKF1", "NKF1", "EKF1")
 _FASTEST_M_S: Final = 60.0
-"""A filter whose velocity runs beyond this has diverged, and not only there [m/s]."""
+"""A filter whose velocity ever exceeds this has diverged, so none of it is used [m/s]."""
 _AIRSPEEDS: Final = (("ARSP", "Airspeed"), ("NTUN", "Arspd"))
 _REFERENCES: Final = ("SIM", "ATT", "AHR2", "XKF1", "NKF1", "EKF1")
 
@@ -62,10 +62,10 @@ class DataFlashLog(Log):
     def recording(self) -> Recording:
         """Return the first IMU, aiding, the trim, and the autopilot's attitudes.
 
-        The log has one clock, so `received_ns` equals `time_ns`; where the satellites' time tells
-        another rate all times are by that (`Recording.clock_rate`). Readings are in the order of
-        the file, but for the trim that it begins with, which holds from the first sample on. The
-        velocity is that of the first GPS receiver, of the autopilot's filter only where that never
+        The log has one clock, so `received_ns` equals `time_ns`; where the satellites' time gives
+        another rate, times are scaled to it (`Recording.clock_rate`). Readings are in the order of
+        the file, except the initial trim, which is in effect from the first sample on. The
+        velocity is that of the first GPS receiver, or of the autopilot's filter where that never
         had a fix. Temperature is the IMU's own (`T` or `Temp`, 0 is none). SIM, where a simulator
         wrote it, is truth.
         """
@@ -97,7 +97,7 @@ class DataFlashLog(Log):
         )
 
     def parameters(self, vehicle: Vehicle) -> RecordedParameters:
-        """Return what PARM records hold."""
+        """Return the values of the PARM records."""
         del vehicle
         layout = self.file.layouts.get("PARM")
         history = ParameterHistory()
@@ -122,7 +122,7 @@ def open_dataflash(
 
 
 def read_dataflash(path: str | Path, progress: Callable[[float], None] | None = None) -> Recording:
-    """Read a DataFlash log as the pipeline takes it."""
+    """Read a DataFlash log as input of the pipeline."""
     return open_dataflash(path, progress).recording()
 
 
@@ -130,8 +130,8 @@ def _clock_note(rate: float) -> tuple[str, ...]:
     if rate == 1.0:
         return ()
     return (
-        f"the autopilot's clock passes 1 s in {rate:.4f} s of the satellites' time: all times of "
-        "this log are by the satellites'",
+        f"the autopilot's clock counts 1 s in {rate:.4f} s of GPS time: all times of "
+        "this log are scaled to GPS time",
     )
 
 
@@ -184,7 +184,7 @@ def _imu_readings(path: Path, log: DataFlashFile) -> tuple[Integers, Rows]:
 
 
 def _attach_magnetometer(log: DataFlashFile, offsets: Integers, imu: Rows) -> None:
-    """Put each field measured on the next IMU row of the file; later values win."""
+    """Attach each measured field to the next IMU row of the file; later values win."""
     fields = ("MagX", "MagY", "MagZ")
     table = table_of(log, "MAG", fields)
     if table is None:
@@ -205,7 +205,7 @@ def _airspeed_readings(log: DataFlashFile) -> tuple[Integers, Rows]:
 
 
 def _velocity_readings(log: DataFlashFile) -> tuple[tuple[Integers, Rows], tuple[str, ...]]:
-    """Return the velocities over ground, and a note where the only one there is was left out."""
+    """Return the velocities over ground, and a note where the only source was not used."""
     gps = table_of(log, "GPS", ("Status", "Spd", "GCrs"), _GPS_CLOCKS)
     fixed = np.zeros(0, np.bool_) if gps is None else gps.column("Status") >= LEAST_FIX
     if gps is not None and fixed.any():
@@ -227,13 +227,13 @@ def _velocity_readings(log: DataFlashFile) -> tuple[tuple[Integers, Rows], tuple
         if fastest < _FASTEST_M_S:
             return (table.offsets, rows), ()
         return _NONE, (
-            f"velocity of {name} not used: it runs to {fastest:.0f} m/s, so that filter diverged",
+            f"velocity of {name} not used: it reaches {fastest:.0f} m/s, so that filter diverged",
         )
     return _NONE, ()
 
 
 def _trim_readings(log: DataFlashFile, imu_offsets: Integers, imu: Rows) -> tuple[Integers, Rows]:
-    """Return the trims; the first value of each goes before all, however late it was written."""
+    """Return the trims; the first value of each comes first, however late it was written."""
     fields = ("Name", "Value")
     layout = log.layouts.get("PARM")
     if layout is None or set(fields) - set(layout.dtype.names or ()):

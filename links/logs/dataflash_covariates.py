@@ -1,4 +1,4 @@
-"""What a DataFlash log tells beside IMU and attitude: vibration, current, throttle, airspeed."""
+"""Covariates in a DataFlash log: vibration, current, throttle, airspeed."""
 
 from typing import Any, Final
 
@@ -17,14 +17,14 @@ _COLUMNS: Final = (
     ("throttle", "CTUN", ("ThrOut",), 1e-3),
     ("airspeed_m_s", "ARSP", ("Airspeed",), 1.0),
 )
-"""Covariate, record, its fields and their unit; the first record present counts."""
+"""Covariate, record, its fields and their unit; the first record present is used."""
 _OLD_CURRENT_A: Final = 1e-2
-"""Logs that count milliseconds hold whole hundredths of an ampere."""
+"""Logs with stamps in milliseconds have currents in hundredths of an ampere."""
 _CLOCKS: Final = {"TimeUS": 1e-6, "TimeMS": 1e-3}
 
 
 def dataflash_covariates(log: DataFlashFile, clock_rate: float) -> Covariates:
-    """Return the first instance of each covariate; the log's seconds last `clock_rate` seconds."""
+    """Return the first instance of each covariate; a log second lasts `clock_rate` seconds."""
     found: dict[str, TimedValues] = {}
     for what, name, fields, unit in _COLUMNS:
         if what in found or not log.counts().get(name):

@@ -16,11 +16,11 @@ _INSTANCES: Final = ("I", "C")
 _TIMES: Final = {"TimeUS": 1000, "TimeMS": 1_000_000, "T": 1_000_000}
 _CLOCKS: Final = ("TimeUS", "TimeMS")
 _SATELLITE_CLOCKS: Final = (("TimeUS", "GMS"), ("T", "TimeMS"))
-"""Stamps of a fix by the autopilot's clock and by the satellites' time of the week [ms]."""
+"""Stamps of a fix on the autopilot's clock and in GPS time of the week [ms]."""
 
 
 class InstanceTable:
-    """One instance's records of a name, with their offsets and times."""
+    """The records of one name and instance, with their offsets and times."""
 
     def __init__(self, log: DataFlashFile, name: str, time_field: str) -> None:
         offsets = log.offsets_of(name)
@@ -36,7 +36,7 @@ class InstanceTable:
         self.time_ns: Integers = rows[time_field].astype(np.int64) * _TIMES[time_field]
 
     def column(self, field: str) -> Floats:
-        """Return a field [N] in the units that its format means."""
+        """Return a field [N] in the units of its format."""
         return self._log.column(self._rows, self._name, field)
 
     def columns(self, fields: tuple[str, ...]) -> Floats:
@@ -59,12 +59,12 @@ def table_of(
 
 
 def at_rate(time_ns: Integers, rate: float) -> Integers:
-    """Times [N] of a clock in each of whose seconds `rate` true ones pass."""
+    """Times [N] of a clock whose second lasts `rate` true seconds."""
     return time_ns if rate == 1.0 else np.rint(time_ns * rate).astype(np.int64)
 
 
 def clock_rate_of(log: DataFlashFile) -> float:
-    """Seconds of the satellites in one of the autopilot's, by the fixes of the first receiver."""
+    """GPS seconds per second of the autopilot's clock, from the fixes of the first receiver."""
     for own, satellites in _SATELLITE_CLOCKS:
         table = table_of(log, "GPS", ("Status", satellites), (own,))
         if table is not None:

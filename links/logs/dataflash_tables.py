@@ -1,6 +1,6 @@
 """Columns of ArduPilot DataFlash (.bin) files: framing, formats, damage.
 
-A record is 0xA3 0x95, a type byte and a body; FMT records, type 128, tell the length, name,
+A record is 0xA3 0x95, a type byte and a body; FMT records, type 128, define the length, name,
 field types and field names of every type. There is no checksum. Source: ArduPilot
 libraries/AP_Logger/LogStructure.h.
 """
@@ -90,7 +90,7 @@ class DataFlashFile:
         return _gather(self.data, self.offsets_of(name), self.layouts[name].dtype)
 
     def column(self, table: Rows, name: str, field: str) -> npt.NDArray[np.float64]:
-        """Field [N] of a table called `name` in the units that the format letters mean."""
+        """Field [N] of a table called `name` in the units of its format letter."""
         values = np.asarray(table[field], np.float64)
         return values / self.layouts[name].divisors.get(field, 1.0)
 
@@ -105,9 +105,9 @@ class DataFlashFile:
 
 
 def read_tables(path: Path, progress: Callable[[float], None] | None = None) -> DataFlashFile:
-    """Find every record of the file; RecordingError if it is no DataFlash file.
+    """Find every record of the file; RecordingError if it is not a DataFlash file.
 
-    Damage is skipped byte by byte: a record is taken when another follows it, or when no whole
+    Damage is skipped byte by byte: a record is accepted when another follows it, or when no whole
     record begins inside it.
     """
     try:
@@ -146,7 +146,7 @@ def _text(value: bytes) -> str:
 
 
 def _layouts(formats: Rows) -> tuple[dict[str, Layout], set[int]]:
-    """Layouts by name, and the types whose FMT is unusable; a type's first FMT holds."""
+    """Layouts by name, and the types whose FMT is unusable; a type's first FMT is used."""
     layouts: dict[str, Layout] = {}
     seen: set[int] = set()
     unusable: set[int] = set()
@@ -201,7 +201,7 @@ def _length_at(data: Bytes, i: int, lengths: Integers) -> int:
 
 @kernel
 def _is_followed(data: Bytes, end: int) -> bool:
-    """Tell whether a record's end is the file's, or another header begins there."""
+    """Return whether a record ends at the end of the file or at another header."""
     size = data.shape[0]
     if end == size:
         return True
@@ -212,7 +212,7 @@ def _is_followed(data: Bytes, end: int) -> bool:
 
 @kernel
 def _damaged_until(data: Bytes, i: int, length: int, lengths: Integers) -> int:
-    """Return where a whole record begins inside the one at `i` that none follows; else 0."""
+    """Return where a whole record begins inside the one at `i` with none after it; else 0."""
     for j in range(i + 3, i + length):
         inner = _length_at(data, j, lengths)
         if inner > 0 and _is_followed(data, j + inner):
@@ -224,9 +224,9 @@ def _damaged_until(data: Bytes, i: int, length: int, lengths: Integers) -> int:
 def _scan(
     data: Bytes, start: int, lengths: Integers, offsets: Integers, skipped: Integers
 ) -> tuple[int, int]:
-    """Fill `offsets` from `start` on; return (records found, where to go on).
+    """Fill `offsets` from `start` on; return (records found, where to continue).
 
-    FMT records met set `lengths` [256], a type's first one only.
+    FMT records on the way set `lengths` [256], only the first one of each type.
     """
     i, count, size = start, 0, data.shape[0]
     while i < size and count < offsets.shape[0]:

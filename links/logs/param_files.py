@@ -1,7 +1,7 @@
 """Files of an autopilot's parameters, as ground stations write and read them.
 
-Two dialects: `NAME,VALUE` of Mission Planner, also with spaces between as MAVProxy writes it, `#`
-beginning a comment; and QGroundControl's, tabs between vehicle id, component id, name, value and
+Two formats: `NAME,VALUE` of Mission Planner, also separated by spaces as MAVProxy writes it, `#`
+starting a comment; and QGroundControl's, tabs between vehicle id, component id, name, value and
 MAV_PARAM_TYPE under a header of `#` lines. Source: ArduPilot, "Parameter files"; QGroundControl,
 src/FactSystem/ParameterManager.cc, writeParametersToStream.
 """
@@ -48,10 +48,10 @@ ParamValues = Mapping[str, ParamValue]
 
 
 def read_param_file(path: str | Path) -> dict[str, ParamValue]:
-    """Return the values by name, in the order of the file, of either dialect.
+    """Return the values by name, in the order of the file, from either format.
 
     ParamFileError names the file, the line and what is wrong with it: no name, no finite number,
-    a name twice with two values.
+    a name with two different values.
     """
     path = Path(path)
     try:
@@ -60,7 +60,7 @@ def read_param_file(path: str | Path) -> dict[str, ParamValue]:
         raise ParamFileError(f"{path}: {error.strerror}; give a readable .param file") from None
     except UnicodeDecodeError:
         raise ParamFileError(
-            f"{path}: is not text, so it is no .param file; give one as a ground station saves it"
+            f"{path}: is not text, so it is no .param file; give one saved by a ground station"
         ) from None
     values: dict[str, ParamValue] = {}
     for number, line in enumerate(text.splitlines(), 1):
@@ -72,7 +72,7 @@ def read_param_file(path: str | Path) -> dict[str, ParamValue]:
         if values.get(name, value) != value:
             raise ParamFileError(
                 f"{where}: {name} = {value.text} although it was {values[name].text} above; "
-                "leave one of them"
+                "keep one of them"
             )
         values[name] = value
     if not values:
@@ -92,12 +92,12 @@ def _entry(where: str, content: str) -> tuple[str, ParamValue]:
         name, text = fields
     else:
         raise ParamFileError(
-            f"{where}: {content!r} is not understood; a line is NAME,VALUE or, of QGroundControl, "
-            "vehicle, component, name, value and type with tabs between"
+            f"{where}: {content!r} is not understood; a line is NAME,VALUE or, for QGroundControl, "
+            "vehicle, component, name, value and type separated by tabs"
         )
     if not _NAME.fullmatch(name):
         raise ParamFileError(
-            f"{where}: {name!r} is no name of a parameter; it has 1 to 16 letters, digits and _"
+            f"{where}: {name!r} is not a parameter name; it has 1 to 16 letters, digits and _"
         )
     try:
         value = float(text)
@@ -117,7 +117,7 @@ def write_param_file(
     system: int = 1,
     component: int = 1,
 ) -> None:
-    """Write the values, on the disk when this returns; ParamFileError if there is such a file."""
+    """Write the values, synced to disk on return; ParamFileError if the file already exists."""
     path = Path(path)
     lines = [f"# {comment}" for comment in comments]
     if dialect == "qgroundcontrol":
@@ -134,10 +134,8 @@ def write_param_file(
             file.flush()
             os.fsync(file.fileno())
     except FileExistsError:
-        raise ParamFileError(
-            f"{path}: is there already; move it away or give another name"
-        ) from None
+        raise ParamFileError(f"{path}: already exists; move it away or give another name") from None
     except OSError as error:
         raise ParamFileError(
-            f"{path}: {error.strerror}; give a file in a folder that can be written"
+            f"{path}: {error.strerror}; give a file in a writable folder"
         ) from None

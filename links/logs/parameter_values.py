@@ -1,6 +1,6 @@
-"""How a parameter's value travels in PARAM_SET and PARAM_VALUE, whose field is a 32-bit float.
+"""Encoding of a parameter's value in PARAM_SET and PARAM_VALUE, as a 32-bit float field.
 
-ArduPilot casts: the integer 5 is sent as 5.0. PX4 sends the bytes of the integer in the place of
+ArduPilot casts: the integer 5 is sent as 5.0. PX4 sends the bytes of the integer in place of
 those of the float. Source: mavlink.io, Parameter Protocol, "Parameter encoding"; ArduPilot
 libraries/GCS_MAVLink/GCS_Param.cpp (cast_to_float); PX4 src/modules/mavlink/mavlink_parameters.cpp.
 """
@@ -30,18 +30,18 @@ _INTEGERS: Final = {
 
 
 def rounded(value: ParamValue) -> ParamValue:
-    """Return the value as its type holds it: the nearest 32-bit float, or the integer."""
+    """Return the value as stored in its type: the nearest 32-bit float, or the integer."""
     if value.type == REAL32:
         return ParamValue(float(np.float32(value.value)), REAL32)
     return value
 
 
 def encode(name: str, value: ParamValue, autopilot: int) -> float:
-    """Return what the message's float field is to hold; ParamError if the type cannot hold it."""
+    """Return the value for the message's float field; ParamError if the type cannot hold it."""
     if value.type == REAL32:
         return rounded(value).value
     if value.type not in _INTEGERS:
-        raise ParamError(f"{name}: MAV_PARAM_TYPE {value.type} has no room in a PARAM_SET")
+        raise ParamError(f"{name}: MAV_PARAM_TYPE {value.type} does not fit in a PARAM_SET")
     kind, layout = _INTEGERS[value.type]
     bounds = np.iinfo(kind)
     if value.value != int(value.value) or not bounds.min <= value.value <= bounds.max:

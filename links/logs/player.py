@@ -12,14 +12,14 @@ from ahrs_service.links.logs.tlog import TlogFile
 from ahrs_service.links.transport.link import Link, LinkState
 
 BURST: Final = 64
-"""Frames sent before the event loop gets a turn although more are due."""
+"""Frames sent before yielding to the event loop although more are due."""
 RETRY_S: Final = 0.001
 RETRIES: Final = 1000
 
 
 @dataclass(slots=True)
 class PlayCounts:
-    """Frames that the link took, and those it did not take in a second."""
+    """Frames that the link accepted, and those it did not accept within a second."""
 
     sent: int = 0
     lost: int = 0
@@ -30,8 +30,8 @@ def due_s(
 ) -> npt.NDArray[np.float64]:
     """Return when each frame [N] is due [s] after the first.
 
-    A gap longer than `max_gap_s` [s of the recording] is shortened to it, a step back in time
-    is no gap; then all is divided by `speed`.
+    A gap longer than `max_gap_s` [s of the recording] is shortened to it; a step back in time
+    is no gap. The result is divided by `speed`.
     """
     gaps_s = np.diff(received_us, prepend=received_us[:1]) / 1e6
     due: npt.NDArray[np.float64] = np.cumsum(np.clip(gaps_s, 0.0, max_gap_s)) / speed
@@ -45,9 +45,9 @@ async def play(
     max_gap_s: float = float("inf"),
     progress: Callable[[int], None] = lambda frames: None,
 ) -> PlayCounts:
-    """Send every frame of the log when it is due; `progress` hears how many have been due.
+    """Send every frame of the log when it is due; `progress` gets the number due so far.
 
-    A link that is full is waited for; one that is down loses its frames, as in flight.
+    A full link is waited for; frames are lost while it is down, as in flight.
     """
     counts = PlayCounts()
     due = due_s(log.frames["received_us"], speed, max_gap_s).tolist()

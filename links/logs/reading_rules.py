@@ -114,8 +114,8 @@ RULES: Final[dict[str, Rule]] = {
 }
 """Messages that carry readings, by name.
 
-RAW_IMU is taken in mG, mrad/s, mgauss, as ArduPilot sends it; `TlogLog.recording` notes where its
-size says that it is raw counts. A message whose accel and gyro are all exactly zero is of an IMU
+RAW_IMU is read in mG, mrad/s, mgauss, as ArduPilot sends it; `TlogLog.recording` notes where its
+size indicates raw counts. A message whose accel and gyro are all exactly zero is from an IMU
 that does not exist and gives no reading; nor does one with neither updated. HIGHRES_IMU with
 `fields_updated` 0 comes from senders that do not fill it: all its fields count as updated.
 GLOBAL_POSITION_INT is all zero while the autopilot has no velocity. PARAM_VALUE gives the trim.

@@ -126,8 +126,8 @@ def from_message(message: Any, received_ns: int, rows: Rows) -> int:
 def from_tables(tlog: TlogFile) -> tuple[Rows, npt.NDArray[np.int32]]:
     """Return the readings of a tlog in file order and the index of each one's frame.
 
-    Byte for byte what `from_message` gives for the same frames; the two low bits of the stamp's
-    microseconds are cleared, for ground stations put a link number there.
+    Byte for byte as `from_message` for the same frames; the two low bits of the stamp's
+    microseconds are cleared, since ground stations put a link number there.
     """
     parts = [_from_table(key, tlog.tables[key]) for key in tlog.tables if key[2] in RULES]
     readings = np.concatenate([empty(READING_DTYPE, 0), *(rows for rows, _ in parts)])
@@ -164,7 +164,7 @@ def _from_table(key: Key, table: Rows) -> tuple[Rows, npt.NDArray[np.int32]]:
 
 
 def _convert(conversion: Conversion, table: Rows, rows: Rows) -> npt.NDArray[np.bool_]:
-    """Fill one field by the function that takes messages, so that not even a last bit differs."""
+    """Fill one field with the function for single messages, for bit-identical results."""
     keep = np.zeros(len(table), np.bool_)
     columns = (table[name].tolist() for name in conversion.fields)
     for n, fields in enumerate(zip(*columns, strict=True)):

@@ -1,4 +1,4 @@
-"""Tees what arrives to .tlog files: rotated by size, bounded on disk, never in the way."""
+"""Records what arrives to .tlog files: rotated by size, bounded on disk, never blocking."""
 
 import contextlib
 import errno
@@ -38,12 +38,12 @@ class Recorder:
 
     `path` a folder, where files are named `YYYYmmdd-HHMMSS-NN.tlog` by the UTC time of
     their first frame, or one file to be made, ending in .tlog and never rotated. No file is ever
-    overwritten. `rotate_mb` begins a new file; `limit_mb` bounds all files of such names in the
-    folder, of which one takes at most half: the oldest are deleted first; 0 switches either off.
+    overwritten. `rotate_mb` starts a new file; `limit_mb` bounds all files of such names in the
+    folder, of which one takes at most half: the oldest are deleted first; 0 disables either.
     `header` gives frames that go
-    first into every file. `on_note` is called for every file begun or deleted, and once, when
+    first into every file. `on_note` is called for every file started or deleted, and once, when
     recording ended because the disk is full or cannot be written; frames are then counted as
-    dropped, and nothing is raised. `last_stamp_us` is that of the last frame taken. Signatures
+    dropped, and nothing is raised. `last_stamp_us` is that of the last frame recorded. Signatures
     are stripped and SETUP_SIGNING, which holds the key, is left out.
     """
 
@@ -73,7 +73,7 @@ class Recorder:
         self._ended = False
 
     def write(self, received_us: int, frame: bytes) -> None:
-        """Record one frame received at `received_us` [us since 1970]; it reaches the file later."""
+        """Record one frame received at `received_us` [us since 1970]; it is written later."""
         if frame[0] == MARKER_V2:
             if frame[2] & SIGNED:
                 frame = strip_signature(frame)
@@ -90,7 +90,7 @@ class Recorder:
             self.flush()
 
     def flush(self) -> None:
-        """Hand what is buffered to the system; call it once a second."""
+        """Write the buffer to the file; call it once a second."""
         if self._fd < 0 or not self._buffer:
             return
         try:
@@ -188,7 +188,7 @@ class Recorder:
             self._fd = -1
 
     def _end(self, error: OSError) -> None:
-        """Record no more, and say so once."""
+        """Stop recording, and report it once."""
         self._ended = True
         self._close_file()
         self.counts.dropped += self._waiting

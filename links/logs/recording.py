@@ -1,4 +1,4 @@
-"""What every recording reader returns, whatever the file's format."""
+"""What every recording reader returns, for any file format."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -16,16 +16,16 @@ from ahrs_service.records import READING_DTYPE, Floats, Integers, Kind, Rows, em
 from ahrs_service.settings import IntakeSettings
 
 OWN: Final[Vehicle] = (1, 1)
-"""The vehicle that keeps its own log, which has no system and component numbers."""
+"""The vehicle of an on-board log, which has no system and component numbers."""
 
 
 @dataclass(frozen=True, slots=True)
 class AttitudeReference:
-    """An attitude the recording itself contains, to compare with.
+    """An attitude contained in the recording, for comparison.
 
     `time_ns` [N] on the clock of the IMU samples, `ned_from_body` [N, 4] wxyz. `is_truth` is set
-    for a simulator's truth; everything else is some estimator's output. `vehicle` is whose it is;
-    `rate_rad_s` [N, 3] and `velocity_ned_m_s` [N, 3] are what the same messages tell, else None.
+    for a simulator's truth; everything else is some estimator's output. `vehicle` is its vehicle;
+    `rate_rad_s` [N, 3] and `velocity_ned_m_s` [N, 3] come from the same messages, else None.
     """
 
     name: str
@@ -56,11 +56,11 @@ def rising(time_s: Floats, values: Floats) -> TimedValues:
 
 @dataclass(frozen=True, slots=True)
 class Covariates:
-    """What a log tells beside readings and attitudes of one vehicle.
+    """Covariates of one vehicle in a log, besides readings and attitudes.
 
     Times are on the clock of the IMU samples less `power_on_s`, which makes Unix time the time
     since power-on. `vibration_m_s2` [N, 3]; `throttle` 0 to 1; `position_ned_m` [N, 3] of the GPS
-    receiver from its first 3D fix, on a sphere, flat about it.
+    receiver from its first 3D fix, as a local tangent plane of a spherical Earth.
     """
 
     power_on_s: float = 0.0
@@ -73,35 +73,35 @@ class Covariates:
 
 
 class Log(ABC):
-    """A log file of some format that was read: once, when it was opened.
+    """A log file of any format, read once, when it was opened.
 
-    A reader's module has a function `(path, progress) -> Log`; recording_formats names it. What
-    costs time and few ask for, parameters and covariates, is made when it is asked for.
+    A reader's module has a function `(path, progress) -> Log`; recording_formats names it. Costly
+    and seldom used parts, parameters and covariates, are made on request.
     """
 
     @abstractmethod
     def recording(self) -> "Recording":
-        """Return the log as the pipeline takes it; RecordingError where it holds no IMU."""
+        """Return the log as input of the pipeline; RecordingError where it holds no IMU."""
 
     def vehicle(self, settings: IntakeSettings) -> Vehicle:
-        """Return the vehicle that the intake adopts; a log of one's own has no other."""
+        """Return the vehicle that the intake adopts; an on-board log has only one."""
         del settings
         return OWN
 
     def parameters(self, vehicle: Vehicle) -> RecordedParameters:
-        """Return the parameters of a vehicle's autopilot; none by itself."""
+        """Return the parameters of a vehicle's autopilot; none by default."""
         del vehicle
         return RecordedParameters({})
 
     def covariates(self, imu: Rows) -> Covariates:
-        """Return what is told beside the IMU, whose readings [N] tell clock and vehicle."""
+        """Return the covariates, for the clock and vehicle of the IMU readings [N]."""
         del imu
         return Covariates()
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """A recording as the pipeline takes it.
+    """A recording as input of the pipeline.
 
     `readings` [N] READING_DTYPE in order of arrival, of all vehicles; `log` the file behind it, for
     parameters and covariates; `marks` of a session of this service, in order; `message_counts`
@@ -135,12 +135,12 @@ class Recording:
         return self.units.get(vehicle, "")
 
     def references_of(self, vehicle: Vehicle) -> tuple[AttitudeReference, ...]:
-        """Return the attitudes that a vehicle tells of itself."""
+        """Return the attitudes that a vehicle reports of itself."""
         return tuple(one for one in self.references if one.vehicle == vehicle)
 
 
 def own_readings(time_ns: npt.NDArray[np.int64], kind: Kind) -> Rows:
-    """Return readings of the vehicle that keeps its own log, received when they were true."""
+    """Return readings of an on-board log's vehicle, with times of receipt equal to their stamps."""
     rows = empty(READING_DTYPE, len(time_ns))
     rows["time_ns"] = rows["received_ns"] = time_ns
     rows["kind"] = kind

@@ -27,7 +27,7 @@ def reader_for(path: Path) -> Reader:
     found = READERS.get(path.suffix.lower())
     if found is None:
         raise RecordingError(
-            f"{path}: {path.suffix or 'a file without suffix'} is no log format that is read; "
+            f"{path}: {path.suffix or 'a file without suffix'} is not a supported log format; "
             f"known are {KNOWN}; give the original log"
         )
     module, _, name = found[1].partition(":")

@@ -1,4 +1,4 @@
-"""The attitudes a tlog itself contains, put on the clock of its IMU samples."""
+"""The attitudes contained in a tlog, on the clock of its IMU samples."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ from ahrs_service.records import Floats, ImuSource, Integers, Kind, Rows
 from ahrs_service.rotation import quaternion_columns
 
 _UNIX_FROM_NS: Final = 10**18
-"""Times from here on (2001) are Unix time; no autopilot has been on for 31 years."""
+"""Later times (2001 on) are Unix time; no autopilot has been on for 31 years."""
 
 
 @dataclass(frozen=True, slots=True)
 class _ImuTimes:
-    """Times of a vehicle's IMU messages: which clock, how far it leads the time of receipt [ns]."""
+    """Clock of a vehicle's IMU messages, and how far it leads the time of receipt [ns]."""
 
     is_unix: bool
     lead_ns: int
@@ -56,7 +56,7 @@ def _median(times_ns: Integers) -> int:
 def attitude_references(
     tlog: TlogFile, readings: Rows, frame_index: npt.NDArray[np.int32]
 ) -> tuple[AttitudeReference, ...]:
-    """Return the references of every autopilot in the log, of the first heard first.
+    """Return the references of every autopilot in the log, the first heard first.
 
     `readings` [N] and their `frame_index` [N] as `readings.from_tables` gives them. SIM_STATE and
     SIMSTATE (truth) carry no time: theirs is that of the RAW_IMU (else of any IMU message) right
@@ -74,7 +74,7 @@ def attitude_references(
 
 
 def _vehicles(readings: Rows) -> list[Vehicle]:
-    """Return (system, component) of the autopilots by heartbeat, else of who sends an IMU."""
+    """Return (system, component) of the autopilots by heartbeat, else of the IMU's senders."""
     heartbeats = readings["kind"] == Kind.HEARTBEAT
     autopilots = heartbeats & (readings["autopilot"] != AUTOPILOT_INVALID)
     rows = readings[autopilots if autopilots.any() else readings["kind"] == Kind.IMU]

@@ -1,7 +1,7 @@
-"""An autopilot's clock judged by the satellites' time that its log holds beside it.
+"""Rate error of an autopilot's clock, from the GPS time in its log.
 
-A quartz errs by 1e-4 at most. A firmware that counts its loops for a clock loses the loops that
-came late, and whoever integrates its gyro by its stamps turns as much too little.
+A quartz is off by 1e-4 at most. A firmware that uses its loop counter as a clock loses the loops
+that ran late, and angles integrated from its gyro and stamps are too small by the same share.
 """
 
 from typing import Final
@@ -15,18 +15,18 @@ WEEK_MS: Final = 604_800_000
 _LEAST_SPAN_S: Final = 60.0
 _LEAST_FIXES: Final = 60
 _LEAST_ERROR: Final = 2e-3
-"""Below this a log of a minute tells it not from the delays of its fixes, some 10 ms; and an
-error of scale of 2 in 1000 is a gyro's own."""
+"""A smaller error in a log of a minute is hidden by the delays of its fixes, some 10 ms; and a
+scale error of 2 in 1000 is within that of a gyro."""
 _SPREAD: Final = 0.1
-"""The middle half of the slopes lies within this share of the error, or they tell no rate."""
+"""Largest interquartile range of the slopes, as a share of the error, for a valid rate."""
 
 
 def clock_rate(own_ns: Integers, of_week_ms: Integers) -> float:
-    """How many seconds of the satellites pass in one of the autopilot's; 1.0 where none is known.
+    """Return the GPS seconds per second of the autopilot's clock; 1.0 where unknown.
 
-    `own_ns` [N] are the stamps of fixes by the autopilot's clock, `of_week_ms` [N] the satellites'
+    `own_ns` [N] are the stamps of fixes on the autopilot's clock, `of_week_ms` [N] the GPS
     time of the week. The median of the slopes between fixes half a log apart (Theil 1950, Sen 1968,
-    over N/2 pairs) minds no outlier.
+    over N/2 pairs) is robust to outliers.
     """
     satellites_s = 1e-3 * np.unwrap(of_week_ms.astype(np.float64), period=WEEK_MS)
     own_s = 1e-9 * own_ns.astype(np.float64)

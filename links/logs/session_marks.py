@@ -1,8 +1,8 @@
 """Settings, calibration and estimator state inside a .tlog, as TUNNEL messages of our component.
 
-Every file of a recording begins, at its first frame, with the settings in force, the calibration if
+Every file of a recording begins, at its first frame, with the current settings, the calibration if
 there is one, and, after a rotation, the state; a change of settings or of the calibration is marked
-where it happened. A replay of any one file then starts and goes on as the live service did, and
+where it happened. A replay of any one file then starts and continues as the live service did, and
 other readers of the file skip the messages.
 """
 
@@ -20,7 +20,7 @@ from ahrs_service.records import Rows
 
 
 class MarkKind(IntEnum):
-    """Payload types from the range that MAVLink leaves to private use (32768 and up)."""
+    """Payload types from MAVLink's range for private use (32768 and up)."""
 
     SETTINGS = 0xA501
     STATE = 0xA502
@@ -29,7 +29,7 @@ class MarkKind(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """One mark: what it is, its bytes, and the index of the first reading that it holds for."""
+    """One mark: its kind, its bytes, and the index of the first reading that it applies to."""
 
     kind: MarkKind
     data: bytes
@@ -57,10 +57,10 @@ def mark_messages(kind: MarkKind, data: bytes) -> list[Any]:
 
 
 def is_mark(message: Any) -> bool:
-    """Return whether a received message would be taken for a mark by `read_marks`.
+    """Return whether `read_marks` would read a received message as a mark.
 
-    Marks are only ever written to files: one that arrives over a link is forged, or comes of a
-    recording that somebody plays, and must not reach a recording.
+    Marks are only ever written to files: one that arrives over a link is forged, or comes from a
+    recording being played, and must not be recorded.
     """
     return (
         message.get_msgId() == dialect.MAVLINK_MSG_ID_TUNNEL and int(message.payload_type) in _KINDS
@@ -78,9 +78,9 @@ def read_marks(
 
     `frame_index` [N] is the frame of each reading of the file.
 
-    Only a file that begins with a mark is one of ours, and only that component's marks count: its
+    Only a file that begins with a mark is one of ours; only that component's marks are used: its
     recorder keeps `is_mark` messages of others out, while a ground station's recording holds
-    whatever anybody sent. An incomplete one, as at the end of a cut file, is passed over.
+    messages from any sender. An incomplete one, as at the end of a truncated file, is skipped.
     """
     tunnels = {
         key: table for key, table in tables.items() if key[2] == "TUNNEL" and _own(table).any()

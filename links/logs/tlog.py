@@ -39,7 +39,7 @@ class Tables(Mapping[Key, Rows]):
         self._data = data
         self._frames = frames
         msgid = frames["msgid"]
-        # One radix pass a key of at most 16 bits: far faster than one sort of a wide key.
+        # One radix pass per key of at most 16 bits: far faster than one sort of a wide key.
         self._order = np.lexsort(
             (frames["compid"], frames["sysid"], msgid.astype(np.uint16), msgid >> 16)
         ).astype(np.int32)
@@ -80,7 +80,7 @@ class TlogFile:
     """A tlog in memory.
 
     `data` the file's bytes; `frames` FRAME_DTYPE in file order, frames of unknown ids too;
-    `tables` by (system, component, message name); `damaged` what was met beside good
+    `tables` by (system, component, message name); `damaged` what was found besides good
     frames, by kind.
     """
 
@@ -99,7 +99,7 @@ class TlogFile:
 
 
 def read_tlog(path: str | Path, progress: Callable[[float], None] | None = None) -> TlogFile:
-    """Read a tlog of MAVLink 1 and 2 frames, signed or not; damage is counted and passed over.
+    """Read a tlog of MAVLink 1 and 2 frames, signed or not; damage is counted and skipped.
 
     `progress` is called with the share scanned, 0 to 1. RecordingError where there is no
     tlog to read. Source: mavlink.io, "Packet serialization".
@@ -127,7 +127,7 @@ def _read(path: Path) -> bytes:
         raise RecordingError(f"{path}: no such file; check the path") from None
     except OSError as error:
         raise RecordingError(
-            f"{path}: cannot be read ({error.strerror}); give a .tlog file you may read"
+            f"{path}: cannot be read ({error.strerror}); give a readable .tlog file"
         ) from None
     if not content:
         raise RecordingError(f"{path}: the file is empty; record again or give another file")
@@ -135,22 +135,22 @@ def _read(path: Path) -> bytes:
 
 
 def _check(path: Path, data: Bytes, frames: Rows, state: Record) -> None:
-    """Refuse what is no tlog: chance gives a right checksum in a large file of anything."""
+    """Refuse files that are no tlog: in any large file some checksum is right by chance."""
     if int(frames["length"].sum()) < _LEAST_SHARE * len(data):
         raise RecordingError(
             f"{path}: holds no MAVLink frames, so it is no .tlog; give a .tlog, or a .ulg or .bin "
-            "file by its own suffix"
+            "file with its correct suffix"
         )
     ends = frames["offset"] + frames["length"]
     if state["bad_stamp"] == len(frames) and np.any(frames["offset"][1:] == ends[:-1]):
         raise RecordingError(
             f"{path}: holds {len(frames)} MAVLink frames but no time stamps between them; "
-            "give a .tlog as ground stations write it, not a raw capture of the link"
+            "give a .tlog as written by a ground station, not a raw capture of the link"
         )
 
 
 def _damage(data: Bytes, state: Record) -> dict[str, int]:
-    """Return the counts; what is left after the last frame is a cut frame if it looks like one."""
+    """Return the counts; a frame start after the last whole frame counts as a cut frame."""
     rest = data[int(state["last_end"]) :]
     head = rest[STAMP_BYTES : STAMP_BYTES + 3].tolist()
     is_cut = len(head) < 3

@@ -1,6 +1,6 @@
-"""What a telemetry log tells beside IMU and attitude: vibration, current, throttle, place.
+"""Covariates in a telemetry log: vibration, current, throttle, position.
 
-VIBRATION, BATTERY_STATUS, SYS_STATUS and VFR_HUD carry no time: theirs is that of the IMU message
+VIBRATION, BATTERY_STATUS, SYS_STATUS and VFR_HUD carry no time: they get that of the IMU message
 before them in the file.
 """
 
@@ -16,9 +16,9 @@ from ahrs_service.records import Floats, Kind, Rows
 
 _UNIX_FROM_NS: Final = 10**18
 _NO_VOLTAGE: Final = 65535
-"""BATTERY_STATUS.voltages of a cell that is not there (MAVLink common.xml)."""
+"""BATTERY_STATUS.voltages of an absent cell (MAVLink common.xml)."""
 _EARTH_M: Final = 6_371_000.0
-"""Mean radius of the Earth: positions are differences over some kilometres only."""
+"""Mean radius of the Earth: positions are differences over a few kilometres only."""
 
 
 def tlog_covariates(
@@ -92,7 +92,7 @@ def _current(clock: _Clock, *tables: Rows | None) -> TimedValues:
 
 
 def _position(clock: _Clock, table: Rows | None) -> TimedValues:
-    """Return the receiver's position from its first 3D fix [m], on a sphere, flat about it."""
+    """Return the receiver's position from its first 3D fix [m], in a local tangent plane."""
     if table is None or not (table["fix_type"] >= LEAST_FIX).any():
         return TimedValues()
     table = table[table["fix_type"] >= LEAST_FIX]

@@ -1,4 +1,4 @@
-"""A telemetry log as a recording: readings, attitudes, marks, parameters of every vehicle in it."""
+"""A telemetry log as a recording: readings, attitudes, marks, parameters of all its vehicles."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -39,9 +39,9 @@ class TlogLog(Log):
         self.readings, self.frame_index = from_tables(tlog)
 
     def recording(self) -> Recording:
-        """Return the log as the pipeline takes it.
+        """Return the log as input of the pipeline.
 
-        RecordingError where it holds no IMU message, saying what it has instead.
+        RecordingError where it holds no IMU message; it lists what the log has instead.
         """
         tlog, counts = self.tlog, self.tlog.message_counts()
         if not np.any(self.readings["kind"] == Kind.IMU):
@@ -84,16 +84,16 @@ class TlogLog(Log):
         history = ParameterHistory()
         notes: tuple[str, ...] = ()
         if most != vehicle:
-            # A ground station's copy may be from before the session: the vehicle's word is last.
+            # A ground station's copy may be from before the session: the vehicle's own values win.
             history.take(_reported(self.tlog, most, autopilot))
-            notes = (f"parameters as {most[0]}/{most[1]} tells them, not the vehicle itself",)
+            notes = (f"parameters as reported by {most[0]}/{most[1]}, not the vehicle itself",)
             history.changed.clear()
         if vehicle in counts:
             history.take(_reported(self.tlog, vehicle, autopilot))
         return history.result(autopilot, notes)
 
     def covariates(self, imu: Rows) -> Covariates:
-        """Return what the vehicle of these IMU readings reports beside them."""
+        """Return the covariates of the vehicle of these IMU readings."""
         return tlog_covariates(self.tlog, self.readings, self.frame_index, imu)
 
     def _autopilots(self, vehicle: Vehicle) -> tuple[int, set[Vehicle]]:
@@ -113,7 +113,7 @@ def open_tlog(path: str | Path, progress: Callable[[float], None] | None = None)
 def recording_from_tlog(
     path: str | Path, progress: Callable[[float], None] | None = None
 ) -> Recording:
-    """Read a tlog as the pipeline takes it, with the attitudes it contains as references."""
+    """Read a tlog as input of the pipeline, with the attitudes it contains as references."""
     return open_tlog(path, progress).recording()
 
 
@@ -137,7 +137,7 @@ def _without_doubtful_courses(
 ) -> tuple[Rows, tuple[str, ...]]:
     """Leave out the GPS velocity of vehicles whose course does not follow their positions.
 
-    A recording of this service keeps it: it must replay as the session was.
+    A recording of this service keeps it: the replay must equal the session.
     """
     notes = []
     for key in tlog.tables:
@@ -157,7 +157,7 @@ def _without_doubtful_courses(
 
 
 def _notes(readings: Rows) -> tuple[str, ...]:
-    """Say where RAW_IMU cannot be in mG: its median specific force is far from 1 g."""
+    """Report where RAW_IMU cannot be in mG: its median specific force is far from 1 g."""
     raw = readings["accel_m_s2"][readings["source"] == ImuSource.RAW_IMU]
     if not len(raw):
         return ()

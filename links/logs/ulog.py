@@ -75,7 +75,7 @@ class UlogLog(Log):
         )
 
     def parameters(self, vehicle: Vehicle) -> RecordedParameters:
-        """Return the values at the begin of the log, and those that changed after."""
+        """Return the values at the start of the log, and those that changed later."""
         del vehicle
         history = ParameterHistory()
         for reported in self.tables.parameters:
@@ -90,7 +90,7 @@ def open_ulog(path: str | Path, progress: Callable[[float], None] | None = None)
 
 
 def read_ulog(path: str | Path, progress: Callable[[float], None] | None = None) -> Recording:
-    """Read a ULog as the pipeline takes it."""
+    """Read a ULog as input of the pipeline."""
     return open_ulog(path, progress).recording()
 
 
@@ -126,7 +126,7 @@ def _vectors(table: Table, *fields: str) -> Floats | None:
 
 
 def _time_ns(table: Table) -> npt.NDArray[np.int64]:
-    """When the values were true [ns]: PX4 since 1.11 logs the sample's time apart."""
+    """Times of the samples [ns]: PX4 since 1.11 logs them in a separate field."""
     stamps = table.get("timestamp_sample")
     if stamps is None or not np.all(stamps):
         stamps = table["timestamp"]
@@ -155,7 +155,7 @@ def _imu_readings(
 
 
 def _attach(rows: Rows, field: str, time_ns: npt.NDArray[np.int64], values: Floats) -> None:
-    """Put each value on the first IMU row at or after its time; later values win."""
+    """Attach each value to the first IMU row at or after its time; later values win."""
     positions = np.searchsorted(rows["time_ns"], time_ns)
     inside = positions < len(rows)
     rows[field][positions[inside]] = values[inside]

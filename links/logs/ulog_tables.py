@@ -1,4 +1,4 @@
-"""Topics of PX4 ULog (.ulg) files, their parameters and their damage, read with pyulog."""
+"""Topics, parameters and damage of PX4 ULog (.ulg) files, read with pyulog."""
 
 import contextlib
 import io
@@ -20,9 +20,9 @@ _BLOCK: Final = 1 << 18
 
 @dataclass(frozen=True, slots=True)
 class UlogTables:
-    """The topics of a log by (name, instance), and what was found wrong with the file.
+    """The topics of a log by (name, instance), and the damage found in the file.
 
-    `parameters` are those at the begin, and the changes after.
+    `parameters` are those at the start, and the later changes.
     """
 
     topics: dict[tuple[str, int], Table]
@@ -35,7 +35,7 @@ class UlogTables:
 
 
 class _CountingFile(io.FileIO):
-    """A file that tells how far it has been read; pyulog offers no progress itself."""
+    """A file that reports how far it has been read; pyulog has no progress of its own."""
 
     def __init__(self, path: Path, progress: Callable[[float], None] | None) -> None:
         super().__init__(path)
@@ -50,7 +50,7 @@ class _CountingFile(io.FileIO):
 
 
 def read_tables(path: Path, progress: Callable[[float], None] | None) -> UlogTables:
-    """Read a ULog; RecordingError if it is none. `progress` is called with the share read."""
+    """Read a ULog; RecordingError if it is not one. `progress` is called with the share read."""
     try:
         with (
             _CountingFile(path, progress) as raw,
@@ -61,7 +61,7 @@ def read_tables(path: Path, progress: Callable[[float], None] | None) -> UlogTab
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
     except Exception as error:
-        # pyulog lets many kinds of error out of a damaged header or definition section.
+        # pyulog raises many kinds of error for a damaged header or definition section.
         raise RecordingError(
             f"{path}: not a ULog that can be read ({error}); check that the file is whole"
         ) from error
@@ -71,7 +71,7 @@ def read_tables(path: Path, progress: Callable[[float], None] | None) -> UlogTab
     if log.file_corruption:
         damaged["corrupt sections"] = 1
     lost_ms = sum(dropout.duration for dropout in log.dropouts)
-    notes = (f"the logger dropped {lost_ms} ms in all",) if log.dropouts else ()
+    notes = (f"the logger dropped {lost_ms} ms in total",) if log.dropouts else ()
     # A damaged definition can leave a topic without its time.
     topics = {
         (item.name, item.multi_id): item.data for item in log.data_list if "timestamp" in item.data
@@ -93,6 +93,6 @@ def _unit(about: dict[str, Any]) -> str:
 
 
 def _vehicle(parameters: dict[str, Any]) -> int:
-    """Return the parameter MAV_TYPE, 0 (generic) where a log has none that is possible."""
+    """Return the parameter MAV_TYPE, 0 (generic) where a log has no valid one."""
     value = parameters.get("MAV_TYPE", 0)
     return int(value) if 0 <= value <= 255 else 0

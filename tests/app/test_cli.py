@@ -57,7 +57,7 @@ def test_every_procedure_of_calibrate_explains_itself(procedure, capsys):
         (["run", "--unknown"], "--unknown"),
         (["run", "--viewer", "99999"], "99999 is not a port, 1 to 65535"),
         (["run", "--seconds", "soon"], "soon is not a number above 0"),
-        (["simulate", "--tlog", "x.tlog", "--truth", "-1"], "-1 is not a number from 0 on"),
+        (["simulate", "--tlog", "x.tlog", "--truth", "-1"], "-1 is not a number of 0 or more"),
         (["play", "x.tlog", "--link", "tcp:h:1", "--speed", "0"], "0 is not a number above 0"),
         (["prove", "--jobs", "0.5"], "0.5 is not a whole number above 0"),
         (["diagnose", "x.tlog", "--html", "no/x.html"], "no/x.html: there is no folder no"),

@@ -1,4 +1,4 @@
-"""The command compile, and the word of kernels being compiled that every command gives."""
+"""The command compile, and the progress of compilation that every command shows."""
 
 import os
 import re

@@ -1,6 +1,6 @@
 """One vehicle and one IMU: every command takes the same samples of a recording with several.
 
-The oracle is a recording that holds nothing but the one vehicle.
+The oracle is a recording of the one vehicle only.
 """
 
 import json
@@ -104,7 +104,7 @@ def test_diagnosis_and_simulation_take_all_columns_of_that_vehicle(logs, asked, 
             continue
         ours, theirs = getattr(both.columns, name), getattr(alone.columns, name)
         if hasattr(ours, "time_s"):
-            # The simulator's truth tells no rates.
+            # The simulator's truth has no rates.
             assert len(ours) or name == "body_rate_rad_s", name
             np.testing.assert_array_equal(ours.time_s, theirs.time_s, name)
             ours, theirs = ours.values, theirs.values
@@ -137,7 +137,7 @@ def test_all_commands_take_the_same_samples(logs, system):
     np.testing.assert_array_equal(captured.gyro_rad_s[-count:], replayed["gyro_rad_s"])
     np.testing.assert_array_equal(captured.accel_m_s2[-count:], replayed["accel_m_s2"])
     loaded = load(logs["both"], asked=asked).columns
-    # Diagnosis takes what came before the first heartbeat, too.
+    # Diagnosis also uses samples before the first heartbeat.
     assert 0 <= len(loaded.imu_time_s) - len(captured.time_s) <= 1
     assert len(loaded.imu_time_s) == np.sum(
         of_vehicle(result.recording.readings, (system, 1))["source"] == ImuSource.HIGHRES_IMU
@@ -200,7 +200,7 @@ def test_a_recording_of_this_service_keeps_its_vehicle(logs, tmp_path):
 
 
 def test_after_a_rotation_the_session_s_vehicle_is_kept(logs, tmp_path):
-    """The file of a session that goes on begins with the state: the second vehicle is adopted."""
+    """The file of a continued session begins with the state: the second vehicle is adopted."""
     estimator = Estimator(Settings())
     estimator.take(read_recording(logs[2]).readings[:100])
     encoder = Encoder(2, 191)

@@ -1,4 +1,4 @@
-"""Each command scans a recording once, whatever it wants of it."""
+"""Each command scans a recording only once, whatever it needs from it."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Files as dataclasses: what is wrong is said in one form, `file: field = value: what to do`."""
+"""Files as dataclasses: every error has the form `file: field = value: what to do`."""
 
 from dataclasses import dataclass, field
 from typing import Annotated, ClassVar

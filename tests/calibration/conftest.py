@@ -24,7 +24,7 @@ def columns_of(flight):
 
 
 def white(imu):
-    """The sensor with its white noise alone: what standard errors are of."""
+    """The sensor with white noise only, the basis of standard errors."""
     return replace(
         imu,
         gyro_noise=replace(imu.gyro_noise, walk=0.0, wander=0.0),

@@ -62,7 +62,7 @@ def test_rounding_falls_with_time():
 
 
 def test_the_coefficients_come_back_and_their_confidence_is_honest():
-    """Many records of one sensor: how far N and K lie off, in their own sigmas."""
+    """Many records of one sensor: errors of N and K in units of their reported sigmas."""
     density, walk = 1e-3, 1e-3
     errors = []
     for seed in range(40):

@@ -1,4 +1,4 @@
-"""Against ArduPilot's own arithmetic, written down anew from its sources in 32-bit floats."""
+"""Against ArduPilot's own arithmetic, reimplemented from its sources in 32-bit floats."""
 
 import math
 from dataclasses import replace
@@ -108,7 +108,7 @@ def test_by_hand():
     st.sampled_from([0, 4, 8, 16, 24]),
 )
 def test_an_import_compensates_as_ardupilot_does(parameters, raw, temperature, orientation):
-    """In body axes, for turns by quarters; beyond TMIN and TMAX too."""
+    """In body axes, for rotations by multiples of 90 degrees; beyond TMIN and TMAX too."""
     turn = body_from_sensor(orientation)
     rows = coefficients(from_ardupilot(parameters, 1, turn))
     body = (turn @ np.array(raw))[None]
@@ -122,7 +122,7 @@ def test_an_import_compensates_as_ardupilot_does(parameters, raw, temperature, o
 @settings(deadline=None, max_examples=25)
 @given(parameter_sets())
 def test_import_then_export_gives_the_same_parameters(parameters):
-    """To the last bit, but for coefficients whose effect over the span is below 1e-5 [unit]."""
+    """To the last bit, except coefficients with an effect over the span below 1e-5 [unit]."""
     low, high = parameters["INS_TCAL1_TMIN"], parameters["INS_TCAL1_TMAX"]
     caltemp = clamp(parameters["INS_ACC1_CALTEMP"], low, high)
     expected = parameters | {"INS_ACC1_CALTEMP": caltemp, "INS_GYR1_CALTEMP": caltemp}
@@ -204,7 +204,7 @@ def test_without_a_thermal_part_ardupilot_s_own_is_switched_off():
 
 
 def test_a_calibration_made_on_top_of_ardupilot_s_replaces_both():
-    """The autopilot took away 0.3 m/s^2 and scaled by 1.02; what it left is what was calibrated."""
+    """The autopilot subtracted 0.3 m/s^2 and scaled by 1.02; the result was then calibrated."""
     below = forms_of_ardupilot(
         {
             "INS_TCAL1_ENABLE": 0,
@@ -268,7 +268,7 @@ def test_gyro_terms_that_no_autopilot_has_are_counted_at_100_deg_s():
 
 
 def test_the_fit_is_best_where_the_unit_works():
-    """A bend at 25 degC: told that it works above, the cubic follows the line there."""
+    """A bend at 25 degC: restricted to temperatures above, the cubic follows the line there."""
     nodes = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.35, 0.0, 0.0]])
     curve = Curve.linear((-10.0, 25.0, 60.0), nodes)
     calibration = Calibration(accel=TriadCalibration(c=curve))
@@ -304,9 +304,9 @@ def test_offsets_of_exactly_nothing_are_remarked_on():
 
 def test_a_lag_of_the_thermometer_is_reported_with_its_size():
     """0.002 m/s^2 per degC, 90 s, 1 degC a minute: 0.003 m/s^2."""
-    (told,) = [t for t in to_ardupilot(ramp(thermal_lag_s=90.0)).remarks if "lag" in t]
-    assert "lag of 90 s" in told
-    assert "0.003 m/s^2" in told
+    (remark,) = [t for t in to_ardupilot(ramp(thermal_lag_s=90.0)).remarks if "lag" in t]
+    assert "lag of 90 s" in remark
+    assert "0.003 m/s^2" in remark
 
 
 @pytest.mark.parametrize(

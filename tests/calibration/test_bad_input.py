@@ -1,4 +1,4 @@
-"""What cannot be calibrated from is refused with a sentence that says what to do."""
+"""Unusable input of a calibration is refused with a sentence that says what to do."""
 
 import math
 from dataclasses import replace

@@ -25,7 +25,7 @@ def test_inflation_of_little_or_nothing():
     assert inflation(np.array([1.0, -1.0] * 40)) == 1.0
 
 
-def test_inflation_tells_the_scatter_of_a_mean():
+def test_inflation_gives_the_scatter_of_a_mean():
     """Means of coloured noise scatter by sigma sqrt(inflation / n)."""
     rng = np.random.default_rng(2)
     runs = [first_order_noise(rng, 2000, 0.8) for _ in range(200)]

@@ -32,9 +32,9 @@ def test_a_new_autopilot_had_compensated_nothing():
 
 def test_thermal_calibration_of_ardupilot_by_imu():
     values = ardupilot(INS_TCAL2_ENABLE=1.0, INS_TCAL2_TMIN=12.0, INS_TCAL2_TMAX=61.0)
-    told = already_compensated(values, ImuSource.SCALED_IMU2, 3)
-    assert [text.split(":")[0] for text in told] == ["IMU 2, accel", "IMU 2, gyro"]
-    for text in told:
+    reported = already_compensated(values, ImuSource.SCALED_IMU2, 3)
+    assert [text.split(":")[0] for text in reported] == ["IMU 2, accel", "IMU 2, gyro"]
+    for text in reported:
         assert "INS_TCAL2_ENABLE = 1" in text
         assert "12..61 degC" in text
         assert "--compensated-by" in text
@@ -54,10 +54,10 @@ def test_offsets_and_scales_of_ardupilot():
 
 def test_px4_by_the_id_of_the_sensor_and_by_the_message():
     values = px4(TC_A_ENABLE=1.0, TC_A1_ID=px4()["CAL_ACC0_ID"], TC_A1_TMAX=55.0, TC_A1_X0_2=0.5)
-    told = already_compensated(values, ImuSource.SCALED_IMU, PX4)
-    assert "TC_A_ENABLE = 1, so the autopilot had compensated temperature over 0..55" in told[0]
-    assert "offsets up to 0.500 m/s^2" in told[1]
-    assert len(told) == 2
+    reported = already_compensated(values, ImuSource.SCALED_IMU, PX4)
+    assert "TC_A_ENABLE = 1, so the autopilot had compensated temperature over 0..55" in reported[0]
+    assert "offsets up to 0.500 m/s^2" in reported[1]
+    assert len(reported) == 2
     highres = already_compensated(px4(), ImuSource.HIGHRES_IMU, PX4)
     assert len(highres) == 1
     assert "estimator's own bias" in highres[0]
@@ -69,8 +69,8 @@ def test_px4_by_the_id_of_the_sensor_and_by_the_message():
 def test_what_cannot_be_known_is_reported():
     values = ardupilot(INS_TCAL1_ENABLE=1.0)
     del values["INS_TCAL1_ACC2_Y"]
-    (told,) = already_compensated(values, ImuSource.SCALED_IMU, 3)
-    assert told == (
+    (reported,) = already_compensated(values, ImuSource.SCALED_IMU, 3)
+    assert reported == (
         "IMU 1: what the autopilot did to it is not known: INS_TCAL1_ACC2_Y is missing: give all "
         "calibration parameters of the autopilot"
     )

@@ -1,4 +1,4 @@
-"""Folded effects are taken away by the estimator's own compensation, and nothing is added."""
+"""Folded effects are removed by the estimator's own compensation, and nothing is added."""
 
 import math
 
@@ -35,7 +35,7 @@ EXACT = [
 
 @pytest.fixture(scope="module")
 def motion():
-    """A flight with hard turns, and a temperature that rises from 5 to 65 degC."""
+    """A flight with tight turns and a temperature that rises from 5 to 65 degC."""
     truth = make_flight("flight", 40.0, 3, RATE_HZ).rows
     return truth, 5.0 + 60.0 * truth["time_s"] / 40.0
 

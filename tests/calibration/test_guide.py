@@ -1,4 +1,4 @@
-"""What a person is told, as the samples of a bench come in."""
+"""Instructions to the operator as the samples of a bench arrive."""
 
 import math
 from dataclasses import replace
@@ -17,7 +17,7 @@ from ahrs_service.calibration.poses import Stillness, find_poses
 NOTHING = ImuColumns(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
 
 
-def told(columns, guide, step_s=5.0):
+def guidance_steps(columns, guide, step_s=5.0):
     """Guidance every `step_s`, as a session would show it."""
     rate = 1.0 / columns.interval_s
     return [
@@ -37,7 +37,7 @@ def test_before_the_first_sample():
 
 def test_it_leads_through_the_six_faces_and_then_the_turns(bench):
     columns, flight = bench("six-position", 110.0)
-    steps = told(columns, lambda c: guide_six_position(c, with_turns=False))
+    steps = guidance_steps(columns, lambda c: guide_six_position(c, with_turns=False))
     first = next(k for k, step in enumerate(steps) if step.done)
     assert not any(step.refusals for step in steps)
     # Done when the last face has been still, which is the last pose of the plan.
@@ -64,7 +64,7 @@ def test_turns_that_are_missing_are_asked_for(bench):
 
 def test_it_asks_for_the_emptiest_direction_until_there_are_enough(bench):
     columns, _ = bench("multi-pose", 130.0)
-    steps = told(columns, lambda c: guide_multi_pose(c, 14))
+    steps = guidance_steps(columns, lambda c: guide_multi_pose(c, 14))
     counts = [int(step.progress[0][1].split()[0]) for step in steps]
     assert counts == sorted(counts)
     assert counts[-1] >= 14

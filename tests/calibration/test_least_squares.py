@@ -77,7 +77,7 @@ def test_a_linear_fit_says_what_it_cannot_know():
 
 def test_a_fit_that_does_not_settle_is_refused():
     def evaluate(p):
-        # Falls for ever: no bottom to reach.
+        # Decreases for ever: there is no minimum.
         return np.array([np.exp(-p[0])]), np.array([[-np.exp(-p[0])]])
 
     with pytest.raises(CalibrationError, match="does not settle"):

@@ -41,8 +41,8 @@ def test_without_noise_the_known_matrix_is_found_exactly():
     assert fit.bias == pytest.approx(B, abs=1e-9)
 
 
-def test_a_turn_of_all_axes_cannot_be_seen_and_is_left_alone():
-    """N = K A with any K: what is found is its symmetric part in the polar decomposition."""
+def test_a_rotation_of_all_axes_is_unobservable_and_left_alone():
+    """N = K A with any K: the fit gives its symmetric part in the polar decomposition."""
     matrix = Rotation.from_rotvec([0.01, -0.02, 0.005]).as_matrix() @ np.linalg.inv(C)
     force = G * spread(24) @ matrix.T + B
     fit = fit_accelerometer(poses_of(force))
@@ -80,7 +80,7 @@ def test_the_norm_jacobian_is_the_slope():
         assert jacobian[:, p] == pytest.approx(slope, abs=1e-7)
 
 
-def test_a_turn_adds_up_to_the_rotation_of_scipy():
+def test_rotation_steps_add_up_to_the_rotation_of_scipy():
     rng = np.random.default_rng(4)
     t = np.arange(200) / 100.0
     rates = np.cumsum(rng.normal(0.0, 0.1, (200, 3)), axis=0)
@@ -92,7 +92,7 @@ def test_a_turn_adds_up_to_the_rotation_of_scipy():
     assert turn == pytest.approx(expected.as_matrix(), abs=1e-12)
 
 
-def test_the_turn_jacobian_is_the_slope(bench):
+def test_the_rotation_jacobian_is_the_slope(bench):
     columns, _ = bench("multi-pose", 150.0, rate_hz=200.0)
     poses = find_poses(columns)
     turns = rotations_between(columns, poses)
@@ -115,7 +115,7 @@ def test_both_triads_of_the_bench_are_found(bench):
     accel = fit_accelerometer(poses)
     gyro = fit_gyro(columns, poses, accel)
     truth = np.array(flight.calibration.accel.matrix)
-    # In the accelerometers' symmetric axes the gyros' matrix is turned as theirs is.
+    # In the accelerometers' symmetric axes the gyros' matrix is rotated like theirs.
     u, _, vt = np.linalg.svd(truth)
     turned = u @ vt
     symmetric = truth @ turned.T
@@ -160,7 +160,7 @@ def test_the_gyros_fit_is_that_of_scipy(bench):
 
 
 def test_held_out_directions_stay_out_of_the_fit():
-    """Poses that err alike in one direction cannot vouch for each other."""
+    """Poses with the same error in one direction cannot confirm each other."""
     up = spread(14)
     force = G * up @ np.linalg.inv(C).T + B
     doubled = np.concatenate([force, force])

@@ -53,7 +53,7 @@ def test_every_pose_of_the_plan_is_found_and_nothing_else(bench, name, rate_hz):
 
 
 def test_the_standard_errors_are_those_of_the_means():
-    """Over many pieces of one sensor's rest, means scatter as each says of itself."""
+    """Over many pieces of one sensor's rest, means scatter by their reported sigma."""
     means, errors = [], []
     for seed in range(60):
         (pose,) = find_poses(still(6.0, seed=seed))
@@ -76,7 +76,7 @@ def test_a_hand_that_trembles_is_not_still():
 
 
 def test_a_slow_steady_turn_is_not_still():
-    """No scatter tells it from rest, only the rate of the other poses does."""
+    """Its scatter equals that at rest; only the rate of the other poses differs."""
     columns = still(30.0)
     t = columns.time_s
     turning = (t > 12.0) & (t < 18.0)
@@ -164,7 +164,7 @@ def test_a_bias_that_wanders_is_known_as_far_as_it_wandered():
             poses["gyro_rad_s"] = walk + rng.normal(0.0, noise, (20, 3))
             poses["gyro_error_rad_s"] = noise
             bias, variance = rest_bias(poses)
-            # Of the session after: another draw of the wander, or the mean that was looked for.
+            # Of the next session: another draw of the wander, or the mean in question.
             later = rng.normal(0.0, wander, 3) if wandering else np.zeros(3)
             squares.append((bias - later) ** 2 / variance)
         errors.append(np.mean(squares))

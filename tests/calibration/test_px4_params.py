@@ -1,4 +1,4 @@
-"""Against PX4's own arithmetic, written down anew from its sources in 32-bit floats."""
+"""Against PX4's own arithmetic, reimplemented from its sources in 32-bit floats."""
 
 import math
 from dataclasses import replace
@@ -108,7 +108,7 @@ def test_an_import_compensates_as_px4_does(parameters, raw, temperature, orienta
 @settings(deadline=None, max_examples=25)
 @given(parameter_sets())
 def test_import_then_export_gives_the_same_parameters(parameters):
-    """To the last bit, but for coefficients whose effect over the span is below 1e-5 [unit]."""
+    """To the last bit, except coefficients with an effect over the span below 1e-5 [unit]."""
     export = to_px4(from_px4(parameters), device_ids=IDS)
     own = {"CAL_ACC0_ID": IDS["accel"], "CAL_GYRO0_ID": IDS["gyro"]}
     back = export.values | own

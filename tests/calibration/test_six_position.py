@@ -1,4 +1,4 @@
-"""Six positions: the closed form, its own standard errors, the simulated bench, known turns."""
+"""Six positions: the closed form, its standard errors, the simulated bench, known rotations."""
 
 import math
 from dataclasses import replace

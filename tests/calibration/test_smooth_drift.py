@@ -67,7 +67,7 @@ def test_exact_drift_is_found_and_compensated_to_the_last_digits():
 
 
 def test_how_the_unit_lies_does_not_enter():
-    """The same unit turned by two degrees in its fixture: the same drift."""
+    """The same unit rotated by two degrees in its fixture: the same drift."""
     rows, _ = six_pose_rows(noise=1e-3)
     fit = fit_smooth(rows, ZERO, with_lag=False)
     t = np.linspace(-20.0, 60.0, 9)
@@ -119,7 +119,7 @@ def test_noise_alone_gets_no_flexible_curve():
     assert np.median(sizes) <= 1
 
 
-def test_held_out_time_speaks_for_curves_that_are_there_and_against_noise():
+def test_held_out_time_supports_real_curves_and_rejects_noise():
     before, after = hold_out(still_rows(1), ZERO).rms()
     assert after < 0.1 * before
     rows = still_rows(2, drift=0.0)

@@ -1,4 +1,4 @@
-"""Bases of temperature against scipy's own evaluation and what any basis of splines must do."""
+"""Temperature bases against scipy's evaluation and the properties of any spline basis."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def test_the_functions_sum_to_one_and_hold_their_value_outside(order):
 
 @pytest.mark.parametrize("order", LADDER[1:])
 @pytest.mark.parametrize("zero", [-40.0, 25.0, 70.0])
-def test_zeroed_curves_are_nil_there_and_lose_nothing_else(order, zero):
+def test_zeroed_curves_are_zero_there_and_otherwise_complete(order, zero):
     basis = Basis(-40.0, 70.0, *order)
     zeroed = basis.zeroed(INSIDE, zero)
     assert basis.zeroed(np.array([zero]), zero) == pytest.approx(0.0, abs=1e-12)

@@ -1,4 +1,4 @@
-"""The thermal procedure on columns: what it finds, and what it says of what it cannot."""
+"""The thermal procedure on columns: its results, and its remarks on what it cannot find."""
 
 import numpy as np
 import pytest
@@ -124,7 +124,7 @@ def test_temperatures_that_say_nothing_are_refused(change, words):
 
 
 def test_a_handful_of_still_windows_is_refused():
-    """As of a flight, of which nothing but the start is still."""
+    """As in a flight in which only the start is still."""
     short = bench().part(0, round(8.0 * RATE_HZ))
     short.temperature_degc[:] = np.linspace(20.0, 30.0, len(short.time_s))
     with pytest.raises(CalibrationError, match="windows are still, 10 are the least"):

@@ -1,4 +1,4 @@
-"""What a person is told while a unit warms up."""
+"""Instructions to the operator while a unit warms up."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def test_it_begins_with_putting_the_unit_down():
         assert not guidance.done
 
 
-def test_it_tells_how_far_the_temperature_is():
+def test_it_reports_how_far_the_temperature_is():
     guidance = guide_thermal(warming(61.0), 20.0)
     assert guidance.instruction.startswith("leave it alone while it warms or cools: 6.0 of 20 degC")
     assert guidance.state.startswith("still, 11.0 degC, +6.00 degC a minute")

@@ -25,7 +25,7 @@ def test_a_thermometer_that_follows_is_undone():
     thermometer = element_degc(time, element, LAG_S)
     undone = element_degc(time, thermometer, -LAG_S)
     assert np.abs(thermometer - element)[50:].max() > 2.0
-    # The rate is that of a line through 30 s: what the curve bends in them is left.
+    # The rate is that of a line through 30 s; the curvature within them remains.
     assert np.abs(undone - element)[50:-10].max() < 0.1
 
 
@@ -40,7 +40,7 @@ def test_rows_of_sessions_follow_their_own_clock():
 
 
 def bench_rows(lag_s, heating_and_cooling=True, noise=2e-3, seed=1):
-    """A cubic drift of the element's temperature; the thermometer shows another one."""
+    """A cubic drift with the element's temperature; the thermometer reads another one."""
     time = np.arange(0.0, 7200.0, 10.0)
     corners = [-20.0, 60.0, -20.0] if heating_and_cooling else [-20.0, 20.0, 60.0]
     first = np.interp(time, [0.0, 3600.0, 7200.0], corners)
@@ -80,7 +80,7 @@ def test_one_steady_ramp_does_not_tell_it():
     assert found.high_s - found.low_s > 10.0 * (both.high_s - both.low_s)
 
 
-def test_a_drift_that_is_not_there_tells_no_lag():
+def test_an_absent_drift_gives_no_lag():
     rows = bench_rows(LAG_S)
     found = estimate_lag(rows, (Structure(),) * 3, 20.0, level_outputs(rows))
     assert (found.low_s, found.high_s) == (-LARGEST_LAG_S, LARGEST_LAG_S)

@@ -1,4 +1,4 @@
-"""What is refused, what is warned of, and that a verdict survives TOML and JSON."""
+"""Refusals, warnings, and the round trip of a verdict through TOML and JSON."""
 
 import json
 import math

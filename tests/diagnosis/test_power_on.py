@@ -1,4 +1,4 @@
-"""A warm-up counts from power-on, whatever part of the flight a recording or a reference has."""
+"""A warm-up counts from power-on, for any part of the flight in a recording or a reference."""
 
 import math
 

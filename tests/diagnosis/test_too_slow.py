@@ -1,4 +1,4 @@
-"""An IMU that comes too seldom for how a vehicle turns is refused, and what to record is said."""
+"""An IMU rate too low for a vehicle's rotation is refused, with advice on what to record."""
 
 import numpy as np
 import pytest

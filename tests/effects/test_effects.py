@@ -1,4 +1,4 @@
-"""Every effect of the catalogue: zero at its neutral parameters, and as its equation says."""
+"""Every effect of the catalogue: zero at its neutral parameters, else equal to its equation."""
 
 import math
 from dataclasses import replace
@@ -14,7 +14,7 @@ from ahrs_service.effects.undo import added_to, ideal_motion
 from ahrs_service.rotation import quaternion_columns
 
 LOST = ("time_offset", "clock_drift", "low_pass", "saturation")
-"""What comes back only as far as the motion is smooth, or not at all."""
+"""Effects that are invertible only for smooth motion, or not at all."""
 
 INVERTIBLE = [effect for effect in EFFECTS.values() if effect.name not in LOST]
 
@@ -88,7 +88,7 @@ def test_late_and_filtered_readings_give_back_the_motion():
     np.testing.assert_array_equal(found.time_s, columns.time_s)
 
 
-def test_a_lever_arm_feels_the_turning_that_is_left_when_a_scale_error_is_taken_out():
+def test_a_lever_arm_uses_the_rate_after_a_scale_error_is_removed():
     """d(1.1 w)/dt is read where the arm felt dw/dt: 0.1 m of 2 rad/s^2 about z are 0.2 m/s^2."""
     base = columns_of()
     spin = np.outer(base.time_s - base.time_s[0], [0.0, 0.0, 2.0])
@@ -117,7 +117,7 @@ def test_a_lever_arm_feels_the_turning_that_is_left_when_a_scale_error_is_taken_
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-def test_what_an_effect_is_often_taken_for_acts_on_the_same_sensor(name):
+def test_confusable_effects_are_on_the_same_sensor(name):
     effect = effect_of(name)
     others = [effect_of(one) for one in often_taken_for(effect)]
     assert others
@@ -156,7 +156,7 @@ def test_a_low_pass_has_the_gain_and_phase_of_the_analog_one():
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("uneven_s", [0.0, 2e-3])
 def test_a_low_pass_of_a_ramp_lags_as_the_analog_one(order, uneven_s):
-    """What is drawn linearly, a ramp of unit slope, comes out late by the delay of the filter."""
+    """A ramp of unit slope is delayed by the delay of the filter."""
     rng = np.random.default_rng(9)
     time_s = np.arange(100) * 0.02 + uneven_s * rng.uniform(size=100)
     base = columns_of(count=100, step_s=0.02)
@@ -201,7 +201,7 @@ def test_a_branch_turns_over_within_its_width():
     assert h[-1] == -1.0
 
 
-def test_hysteresis_is_looked_for_only_as_wide_as_the_temperature_turns_back():
+def test_hysteresis_is_searched_only_as_wide_as_the_temperature_reverses():
     effect, columns = effect_of("accel_thermal_hysteresis"), columns_of()
     rises = replace(columns, temperature_degc=np.linspace(20.0, 40.0, 200))
     assert effect.grid(rises) == []

@@ -1,4 +1,4 @@
-"""A new effect comes with numbers worked out by hand: its id stands in an oracle's test."""
+"""A new effect needs numbers worked out by hand: its id must be in an oracle's test."""
 
 from pathlib import Path
 

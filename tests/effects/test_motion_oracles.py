@@ -1,4 +1,4 @@
-"""Effects of how the IMU moves and stands, each against numbers worked out by hand."""
+"""Effects of the IMU's motion and mounting, each against numbers worked out by hand."""
 
 import math
 
@@ -18,7 +18,7 @@ UP_52 = 5.7462650e-5
 @pytest.mark.parametrize(
     ("stands", "ned_from_body", "expected"),
     [
-        # The axis points north and up: body z is down, so z shows it negative.
+        # The axis points north and up: body z is down, so z reads it negative.
         ("level, north", (1.0, 0.0, 0.0, 0.0), (LEVEL_52, 0.0, -UP_52)),
         # Facing east, north is to the left.
         ("level, east", (RIGHT_ANGLE, 0.0, 0.0, RIGHT_ANGLE), (0.0, -LEVEL_52, -UP_52)),
@@ -35,7 +35,7 @@ def test_the_rate_of_the_earth_at_52_deg_north(stands, ned_from_body, expected):
 
 
 def test_south_of_the_equator_the_axis_points_into_the_ground():
-    """At 30 deg south: cos = 0.8660254, sin = -0.5, so z shows +W / 2."""
+    """At 30 deg south: cos = 0.8660254, sin = -0.5, so z reads +W / 2."""
     found = on_own_triad("gyro_earth_rate", columns(), latitude_deg=-30.0)
     np.testing.assert_allclose(found, [[6.3151569e-5, 0.0, 3.6460575e-5]], rtol=1e-7)
 
@@ -89,7 +89,7 @@ def test_a_gyro_at_rest_with_0_1_deg_s_per_g_along_x_shows_minus_0_1_deg_s():
 def test_misalignment_shows_in_each_axis_its_share_of_the_others(triad):
     """u = (1, 2, 4): x 0.01 * 2 + 0.02 * 4, y 0.03 * 1 + 0.04 * 4, z 0.05 * 1 - 0.06 * 2.
 
-    A diagonal would be a scale factor and does nothing.
+    A diagonal would be a scale factor and has no effect.
     """
     mine, others = (1.0, 2.0, 4.0), (50.0, 60.0, 70.0)
     rate, force = (mine, others) if triad == "gyro" else (others, mine)
@@ -112,14 +112,14 @@ def test_misalignment_shows_in_each_axis_its_share_of_the_others(triad):
         ((0.01, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -math.sin(0.01), math.cos(0.01) - 1.0)),
     ],
 )
-def test_a_mounting_rotation_turns_both_readings(rotvec, rate, expected):
+def test_a_mounting_rotation_rotates_both_readings(rotvec, rate, expected):
     acting = columns(rate_rad_s=rate, force_m_s2=3.0 * np.array(rate))
     found = added("imu_mounting_rotation", acting, rotvec_rad=rotvec)
     np.testing.assert_allclose(found.gyro, [expected], atol=1e-15)
     np.testing.assert_allclose(found.accel, [3.0 * np.array(expected)], atol=1e-15)
 
 
-def test_an_imu_turned_by_0_1_rad_about_x_shows_a_level_vehicle_leaning():
+def test_an_imu_rotated_by_0_1_rad_about_x_reads_a_level_vehicle_as_tilted():
     """rho = (0.1, 0, 0), f = (0, 0, -g): y gets -sin(0.1) * -g = +0.979 m/s^2."""
     found = added("imu_mounting_rotation", columns(force_m_s2=(0, 0, -G)), rotvec_rad=(0.1, 0, 0))
     np.testing.assert_allclose(found.accel, [[0.0, 0.97903136, 0.04899242]], rtol=1e-6, atol=1e-12)

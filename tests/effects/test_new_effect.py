@@ -101,7 +101,7 @@ class ThermalCubic(Effect):
 
 @dataclass(frozen=True)
 class ThrottlePush(Effect):
-    """A kind that says no more than it must: it can be simulated, and not be compensated live."""
+    """A minimal effect: it can be simulated, and not be compensated live."""
 
     triads: ClassVar[tuple[str, ...]] = ("accel",)
     name: ClassVar[str] = "throttle_push"
@@ -180,7 +180,7 @@ def bends(columns):
 
 
 def test_the_calibration_written_takes_it_away(diagnosed):
-    """By the service's own compensation: what bent with the temperature is straight."""
+    """After the service's own compensation no dependence on temperature remains."""
     columns = load(diagnosed / "flight.tlog").columns
     np.testing.assert_allclose(bends(columns), CUBIC, rtol=0.02)
     calibration = calibration_file.load(diagnosed / "cal.toml")

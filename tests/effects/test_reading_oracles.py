@@ -1,4 +1,4 @@
-"""Effects of the sensor's own reading and stamps, each against numbers worked out by hand."""
+"""Effects on the sensor's readings and stamps, each against numbers worked out by hand."""
 
 import math
 
@@ -35,7 +35,7 @@ def test_a_gyros_nonlinearity_is_odd():
 
 
 def test_an_accelerometers_nonlinearity_is_even():
-    """k f^2: up and down alike, as it turns vibration into bias."""
+    """k f^2: the same up and down, which rectifies vibration into bias."""
     found = on_own_triad(
         "accel_scale_nonlinearity", readings("accel", (10.0, -10.0, -5.0)), k=[0.001, 0.001, 0.002]
     )
@@ -52,7 +52,7 @@ def test_saturation_cuts_at_both_ends_of_the_range(triad):
 def test_at_the_limit_scatter_cuts_0_4_of_its_sigma(triad):
     """Half of a normal variable lies beyond: its mean there is sigma / sqrt(2 pi) = 0.39894 sigma.
 
-    Each triad has its own sigmas. At 0, between two limits alike, nothing is cut on average.
+    Each triad has its own sigmas. At 0, between two equal limits, nothing is clipped on average.
     """
     mine, others = [0.1, 0.2, 0.3], [10.0, 20.0, 30.0]
     scatter = mine + others if triad == "gyro" else others + mine
@@ -101,7 +101,7 @@ def test_a_second_order_low_pass_is_a_quarter_late_and_3_db_down_at_its_cutoff(t
 
 
 def test_a_late_stamp_shows_the_past_of_both_triads():
-    """At 3 rad/s^2 and 2 m/s^3 a stamp 20 ms late shows 0.06 rad/s and 0.04 m/s^2 too little."""
+    """At 3 rad/s^2 and 2 m/s^3 a stamp 20 ms late reads 0.06 rad/s and 0.04 m/s^2 too low."""
     time_s = np.arange(7.0, 9.0, 0.01)
     rate, force = np.outer(time_s, [3.0, -3.0, 0.0]), np.outer(time_s, [2.0, 0.0, -2.0])
     acting = columns(len(time_s), time_s=time_s, rate_rad_s=rate, force_m_s2=force)

@@ -72,7 +72,7 @@ def test_thermal_rate_follows_the_slope_with_its_sign(triad):
 def test_thermal_lag_stays_behind_a_ramp(triad, slope):
     """T = 25 + r t: Td - 25 = r (t - tau (1 - exp(-t / tau))), at t = tau r tau / e.
 
-    With r = 0.1 degC/s and tau = 10 s that is 0.3679 degC where the sensor shows 1 degC.
+    With r = 0.1 degC/s and tau = 10 s that is 0.3679 degC where the sensor reads 1 degC.
     """
     time_s = np.arange(0.0, 20.5, 0.5)
     found = on_own_triad(
@@ -88,7 +88,7 @@ def test_thermal_lag_stays_behind_a_ramp(triad, slope):
 
 
 def test_thermal_lag_begins_in_equilibrium_and_counts_from_its_reference():
-    """Held at 35 degC from the beginning it acts in full: 0.01 * (35 - 20) = 0.15."""
+    """Held at 35 degC from the start it is fully in effect: 0.01 * (35 - 20) = 0.15."""
     found = on_own_triad(
         "gyro_thermal_lag",
         columns(5, temperature_degc=35.0),

@@ -32,10 +32,10 @@ def turned_steadily(bank_deg, speed_m_s, shake=0.0, seconds=20.0, force_scale=1.
 
 
 @pytest.mark.parametrize("bank_deg", [-60.0, -30.0, 20.0, 45.0])
-def test_a_turn_is_begun_with_its_bank(bank_deg):
+def test_a_start_in_a_turn_has_the_right_bank(bank_deg):
     """The class flies at 15 m/s: there the bank is exact, at 22 half of it may lack for a while.
 
-    The wing's lift, which this turn has not, pulls by some degrees.
+    The wing's lift, absent in this turn, pulls by some degrees.
     """
     found = np.degrees(euler_columns(turned_steadily(bank_deg, 15.0)["ned_from_body"])[:, :2])
     assert found[0] == pytest.approx([bank_deg, 0.0], abs=1e-6)
@@ -48,21 +48,21 @@ def test_a_turn_is_begun_with_its_bank(bank_deg):
 
 @pytest.mark.parametrize("bank_deg", [-8.0, 5.0])
 def test_a_wide_smooth_turn_is_no_bias(bank_deg):
-    """0.05 and 0.08 rad/s: no gyro errs so much, and what rests does not shake so."""
+    """0.05 and 0.08 rad/s: too much for a gyro bias or for vibration at rest."""
     estimates = turned_steadily(bank_deg, 17.0, shake=1.0)
     running = estimates[estimates["phase"] == Phase.RUNNING]
     assert np.abs(running["gyro_bias_rad_s"]).max() < 0.02
 
 
 def test_an_accelerometer_that_nobody_calibrated_is_found_out_in_the_air():
-    """6 % too much, as plane erle: begun in a turn no rest shows it, but no climb lasts."""
+    """6 % too much, as plane erle: a start in a turn has no rest to find it, but no climb lasts."""
     scaled = turned_steadily(30.0, 17.0, shake=1.0, seconds=60.0, force_scale=1.06)
     error = np.degrees(euler_columns(scaled[1500:]["ned_from_body"])[:, :2]) - [30.0, 0.0]
     assert np.abs(error).mean() < 1.8
 
 
 @pytest.mark.parametrize("turn_rad_s", [-1.0, 0.3, 0.6])
-def test_a_wing_turned_by_hand_is_not_begun_in_flight(turn_rad_s):
+def test_a_wing_rotated_by_hand_does_not_start_as_in_flight(turn_rad_s):
     """It is level and feels gravity alone; a flight at 15 m/s would lean by 25 deg and more."""
     time_s = np.arange(10 * RATE_HZ) / RATE_HZ
     samples = empty(SAMPLE_DTYPE, len(time_s))

@@ -14,11 +14,11 @@ HANDED_OVER = {"measured"}
 ALLOWED = {
     ("alignment", "covariance"): "the covariance of a first velocity that points along the nose",
     ("alignment", "velocity_ned_m_s"): "that velocity",
-    ("ground_velocity", "correction"): "what is still to be corrected turns with a heading found",
+    ("ground_velocity", "correction"): "pending corrections rotate with a heading found",
     ("ground_velocity", "velocity_lag_s"): "the lag as set, until it is estimated",
     ("heading", "correction"): "the tilt is considered, not corrected, by a magnetic field",
     ("heading", "covariance"): "and keeps its covariance",
-    ("mekf", "history_m_s"): "velocities remembered in earth axes turn with the heading",
+    ("mekf", "history_m_s"): "stored velocities in earth axes rotate with the heading",
     ("pipeline", "dcm"): "the state before the first sample",
     ("pipeline", "ned_from_body"): "the state before the first sample",
 }

@@ -1,4 +1,4 @@
-"""An accelerometer that shows too much of gravity: its scale is learnt, and the gates open."""
+"""An accelerometer that reads gravity too large: its scale is estimated, and the gates open."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ RATE_HZ = 50
 
 
 def lying(seconds, scale, airframe, roll=-0.24):
-    """Samples [N] of a vehicle at rest with a roll; its accelerometer shows `scale` times g."""
+    """Samples [N] of a vehicle at rest with a roll; its accelerometer reads `scale` times g."""
     samples = empty(SAMPLE_DTYPE, round(seconds * RATE_HZ))
     rng, count = np.random.default_rng(1), len(samples)
     samples["time_ns"] = 10**9 + np.arange(count) * (10**9 // RATE_HZ)
@@ -31,7 +31,7 @@ def run(samples):
 
 @pytest.mark.parametrize("airframe", [Airframe.FIXED_WING, Airframe.MULTIROTOR])
 @pytest.mark.parametrize("scale", [0.92, 1.0, 1.06])
-def test_at_rest_the_norm_of_gravity_tells_the_scale(scale, airframe):
+def test_at_rest_the_norm_of_gravity_determines_the_scale(scale, airframe):
     estimates, state = run(lying(20.0, scale, airframe))
     # A bias of 0.1 m/s^2, 1-sigma, takes its part of a multirotor's.
     rel = 2e-3 if airframe == Airframe.FIXED_WING else 6e-3
@@ -56,7 +56,7 @@ def test_a_class_with_a_calibrated_sensor_keeps_its_scale():
     assert state["force_scale"] == 1.0
 
 
-def test_shake_tells_nothing_of_the_scale():
+def test_vibration_does_not_determine_the_scale():
     samples = lying(20.0, 1.05, Airframe.FIXED_WING)
     rng = np.random.default_rng(2)
     samples["accel_m_s2"] += rng.normal(0.0, 1.0, samples["accel_m_s2"].shape)

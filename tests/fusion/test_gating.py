@@ -73,7 +73,7 @@ def budget(**values):
 
 
 def test_a_norm_gate_admits_a_horizontal_acceleration_of_sqrt_2_g_eps():
-    """The remark: what norm(f) lets through is far more than the budget that made the width."""
+    """The remark: norm(f) admits far more than the budget from which the width was made."""
     for eps in (0.01, 0.1, 0.3):
         admitted = math.sqrt(2.0 * G * eps)
         for share, reason in ((0.98, Gate.OPEN), (1.02, Gate.NORM)):

@@ -20,7 +20,7 @@ def flight():
 
 
 def heard(flight, lag_s=0.0, airframe=Airframe.FIXED_WING, rotated_rad=0.0, magnetometer=False):
-    """Samples [N] with a receiver's velocity 5 times a second, so late and in axes so turned."""
+    """Samples [N] with a receiver's velocity at 5 Hz, with this delay and axes rotated by this."""
     samples = samples_of(flight, airframe, magnetometer=magnetometer).copy()
     now = np.arange(0, len(samples), EVERY)
     then = np.maximum(now - round(lag_s * RATE_HZ), 0)
@@ -94,7 +94,7 @@ def test_the_wind_is_reported_from_the_airspeed(flight):
 
 
 def test_without_a_nose_the_heading_comes_from_how_both_velocities_change(flight):
-    """From the middle of the flight, where it turns: no course is taken for a heading."""
+    """From the middle of the flight, in a turn: the course is never used as the heading."""
     start = 3000
     samples = heard(flight, 0.1, Airframe.OTHER)[start:]
     estimates, state = run(samples)
@@ -104,8 +104,8 @@ def test_without_a_nose_the_heading_comes_from_how_both_velocities_change(flight
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_a_receiver_as_noisy_as_the_filter_takes_it_for_tells_the_heading(flight, seed):
-    """Most of its changes is noise, but many of them together tell the heading."""
+def test_a_receiver_as_noisy_as_assumed_gives_the_heading(flight, seed):
+    """Its changes are mostly noise, but many of them together determine the heading."""
     start = 3000
     samples = noisy(heard(flight, 0.1, Airframe.OTHER)[start:], seed)
     estimates, state = run(samples)
@@ -115,7 +115,7 @@ def test_a_receiver_as_noisy_as_the_filter_takes_it_for_tells_the_heading(flight
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_noise_alone_tells_no_heading(flight, seed):
+def test_noise_alone_gives_no_heading(flight, seed):
     samples = heard(flight, 0.1, Airframe.OTHER)
     samples["velocity_ned_m_s"] *= 0.0
     _, state = run(noisy(samples, seed))
@@ -182,7 +182,7 @@ def test_over_a_gap_in_a_manoeuvre_the_velocity_does_no_harm(flight, magnetomete
 
 
 def test_another_imu_gives_up_what_was_compared_before(flight):
-    """The turn to the heading that was found once is not made again."""
+    """The rotation to the heading found once is not repeated."""
     samples = heard(flight, 0.1, Airframe.OTHER)
     samples["flags"][6500] = int(Flag.IMU_CHANGED)
     estimates, _ = run(samples)

@@ -1,4 +1,4 @@
-"""Heading on simulated turns in a known field."""
+"""Heading on simulated rotations in a known field."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ def settings(**fusion):
 
 
 def tumble(seconds, still_s=3.0, yaw=0.0, bias=(0.0, 0.0, 0.0)):
-    """Samples of a sensor that turns about all axes without acceleration, and its attitude."""
+    """Samples of a sensor that rotates about all axes without acceleration, and its attitude."""
     count = round(seconds * RATE_HZ)
     t = np.arange(count) / RATE_HZ
     rate = np.stack([1.1 * np.sin(0.9 * t), 0.8 * np.sin(0.61 * t + 1.0), np.cos(0.37 * t)], axis=1)
@@ -51,7 +51,7 @@ def tumble(seconds, still_s=3.0, yaw=0.0, bias=(0.0, 0.0, 0.0)):
 
 
 def spin(seconds, still_s=3.0):
-    """Samples of a sensor in a hand that turns it over and over, mostly one way, and its attitude.
+    """Samples of a sensor rotated over and over by hand, mostly one way, and its attitude.
 
     Exact for means of the rate: its integral over a sample by Simpson's rule.
     """
@@ -115,8 +115,8 @@ def test_first_heading_is_magnetic_north_plus_declination(yaw):
 
 
 @pytest.mark.parametrize("offset", range(10))
-def test_a_slow_magnetometer_is_heard_at_whatever_sample_of_a_turn_it_comes(offset):
-    """As often as the turns end, so it always falls on the same sample of them."""
+def test_a_slow_magnetometer_is_used_at_any_sample_of_an_update(offset):
+    """At the update rate, so it always falls on the same sample of an update."""
     samples, _ = tumble(3.0, still_s=3.0, yaw=1.0)
     slow = np.full_like(samples["mag_ut"], np.nan)
     slow[at(1.5) + offset :: 10] = samples["mag_ut"][at(1.5) + offset :: 10]
@@ -141,7 +141,7 @@ def test_attached_magnet_is_found_and_taken_out(iron):
     [(0.0, 1, 0.001, 0.3), (0.02, 1, 0.001, 0.5), (0.06, 10, 0.008, 3.0)],
 )
 def test_lag_of_the_magnetometer_is_learnt(late_s, every, lag_s, error_deg):
-    """At 5 rad/s; the last turns by 0.3 rad in its lag, where the correction is not small."""
+    """At 5 rad/s; the last rotates by 0.3 rad in its lag, where the correction is not small."""
     samples, attitude = spin(60.0)
     field = samples["mag_ut"].copy()
     samples["mag_ut"] = np.nan
@@ -207,7 +207,7 @@ def test_another_field_becomes_the_reference_after_turning_in_it():
     _, early = run(samples[: at(65.0)])
     np.testing.assert_allclose(early["reference_ut"][0], [16.0, 42.0], atol=0.3)
     _, late = run(samples)
-    # The turn in which the field changed has something of both in its mean.
+    # The update in which the field changed has both fields in its mean.
     np.testing.assert_allclose(late["reference_ut"][0], [22.0, 30.0], atol=0.6)
 
 
@@ -247,8 +247,8 @@ def test_magnetometer_that_vanishes_and_comes_back():
     assert (np.abs(error[at(3.0) :]) < sigma[at(3.0) :]).all()
 
 
-def test_magnetometer_that_comes_late_turns_attitude_and_velocity():
-    """The tilt does not move when the heading turns by 2 rad at once."""
+def test_magnetometer_that_comes_late_rotates_attitude_and_velocity():
+    """The tilt does not move when the heading jumps by 2 rad."""
     samples, attitude = tumble(60.0, yaw=2.0)
     samples["mag_ut"][: at(30.0)] = np.nan
     estimates, _ = run(samples)

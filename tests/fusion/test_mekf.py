@@ -93,7 +93,7 @@ def test_one_state_measured_directly_is_the_row_of_a_unit_vector(count, pending)
 
 
 @pytest.mark.parametrize("force", [(0.1, -0.2, -9.8), (5.0, 3.0, -8.0), (-2.0, 1.0, 6.0)])
-def test_the_tilt_of_a_force_turns_it_upright(force):
+def test_the_tilt_of_a_force_rotates_it_upright(force):
     tilt = np.empty(2)
     mekf.tilt_from_force(np.array(force), tilt)
     angle = float(np.linalg.norm(tilt))
@@ -102,8 +102,8 @@ def test_the_tilt_of_a_force_turns_it_upright(force):
     np.testing.assert_allclose(upright, [0.0, 0.0, -np.linalg.norm(force)], atol=1e-12)
 
 
-def test_turning_about_down_turns_state_and_covariance_alike():
-    """A measurement along a turned axis before is one along the axis after."""
+def test_rotation_about_down_rotates_state_and_covariance_alike():
+    """A measurement along the rotated axis before equals one along the axis after."""
     rng = np.random.default_rng(6)
     state = new_state()[0]
     state["covariance"][:] = covariance(rng, states.AIDED)

@@ -1,4 +1,4 @@
-"""The way back over the tape against the dense solution of the same linear problem."""
+"""The backward pass over the history against the dense solution of the same linear problem."""
 
 import numpy as np
 import pytest
@@ -19,27 +19,27 @@ from ahrs_service.records import ESTIMATE_DTYPE, empty
 from ahrs_service.rotation import multiply_columns
 
 SMALL = 1e-7
-"""Angles so small that turns about different axes add."""
+"""Angles so small that rotations about different axes add."""
 LOWER = np.tril_indices(ERROR_STATES)
 
 
 class Problem:
-    """x' = F x + noise, y = H x + noise, from a known covariance, over few turns.
+    """x' = F x + noise, y = H x + noise, from a known covariance, over few updates.
 
     With `wind_at` the velocity before that node is the one through the air, after it the one over
     ground; only then wind and lag are states of the filter.
     """
 
-    def __init__(self, states, turns, seed, wind_at=0):
+    def __init__(self, states, updates, seed, wind_at=0):
         rng = np.random.default_rng(seed)
         self.n, self.rng, self.wind_at = states, rng, wind_at
         self.start = np.diag(rng.uniform(0.5, 2.0, states)) * SMALL**2
         self.ways, self.noises, self.measured = [], [], []
-        for _ in range(turns):
+        for _ in range(updates):
             rotation_s, rate, impulse = rng.normal(size=(3, 3)), *rng.normal(size=(2, 3))
             self.ways.append((rotation_s, rate, impulse))
             noise = rng.uniform(0.0, 0.3, states) * SMALL**2
-            # The same along north and east, so that it is the same in turned axes.
+            # The same along north and east, hence the same in rotated axes.
             for n in (1, VELOCITY + 1, WIND + 1):
                 if n < states:
                     noise[n] = noise[n - 1]
@@ -49,18 +49,18 @@ class Problem:
             self.noises.append(noise)
             self.measured.append((h, rng.normal(size=2) * SMALL, 0.1 * SMALL**2))
 
-    def transition(self, way, turn=0):
+    def transition(self, way, update=0):
         f = np.zeros((ERROR_STATES, ERROR_STATES))
         np.fill_diagonal(f, 1.0)
-        if self.wind_at and turn == self.wind_at:
+        if self.wind_at and update == self.wind_at:
             f[VELOCITY, WIND] = f[VELOCITY + 1, WIND + 1] = 1.0
         mekf.transition_rows(f, self.n, *way, np.empty((3, ERROR_STATES)))
         return f[: self.n, : self.n]
 
     def dense(self):
-        """States [turns + 1, n] and covariances given all that was measured, in one piece."""
-        n, turns = self.n, len(self.ways)
-        size = n * (turns + 1)
+        """States [updates + 1, n] and covariances given all measurements, in one piece."""
+        n, updates = self.n, len(self.ways)
+        size = n * (updates + 1)
         joint = np.zeros((size, size))
         joint[:n, :n] = self.start
         for k, (way, noise) in enumerate(zip(self.ways, self.noises, strict=True)):
@@ -68,20 +68,20 @@ class Problem:
             joint[new : new + n, :new] = f @ joint[now : now + n, :new]
             joint[:new, new : new + n] = joint[new : new + n, :new].T
             joint[new : new + n, new : new + n] = f @ joint[now:new, now:new] @ f.T + np.diag(noise)
-        h = np.zeros((2 * turns, size))
+        h = np.zeros((2 * updates, size))
         for k, (one, _, _) in enumerate(self.measured):
             h[2 * k : 2 * k + 2, (k + 1) * n : (k + 2) * n] = one
         y = np.concatenate([y for _, y, _ in self.measured])
         r = np.diag(np.repeat([r for _, _, r in self.measured], 2))
         gain = np.linalg.solve(h @ joint @ h.T + r, h @ joint).T
         cov = joint - gain @ h @ joint
-        blocks = [cov[k * n : (k + 1) * n, k * n : (k + 1) * n] for k in range(turns + 1)]
-        return (gain @ y).reshape(turns + 1, n), np.array(blocks)
+        blocks = [cov[k * n : (k + 1) * n, k * n : (k + 1) * n] for k in range(updates + 1)]
+        return (gain @ y).reshape(updates + 1, n), np.array(blocks)
 
-    def tape(self):
+    def history(self):
         """The nodes that a Kalman filter leaves, and its estimates."""
-        turns, n = len(self.ways), self.n
-        nodes, rows = np.zeros(turns + 2, NODE_DTYPE), empty(ESTIMATE_DTYPE, turns + 1)
+        updates, n = len(self.ways), self.n
+        nodes, rows = np.zeros(updates + 2, NODE_DTYPE), empty(ESTIMATE_DTYPE, updates + 1)
         x, p = np.zeros(n), self.start
         self._leave(nodes[1], rows[0], 0, x, p, np.zeros(n))
         into_wind = np.eye(n)
@@ -107,7 +107,7 @@ class Problem:
 
     def _leave(self, node, row, sample, x, p, correction):
         n = self.n
-        # Part of a correction may come late, as the magnetometer's does between two turns.
+        # Part of a correction may come late, as the magnetometer's does between two updates.
         share = self.rng.uniform()
         node["sample"], node["states"] = sample, n if sample >= self.wind_at else UNAIDED
         node["applied"][:n], node["late"][:n] = share * correction, (1.0 - share) * correction
@@ -128,7 +128,7 @@ class Problem:
 @pytest.mark.parametrize("seed", [1, 2])
 def test_the_way_back_finds_what_one_dense_solution_finds(states, seed):
     problem = Problem(states, 6, seed)
-    nodes, rows = problem.tape()
+    nodes, rows = problem.history()
     smoother.smooth(nodes, len(nodes), rows)
     expected, covariances = problem.dense()
     angle, bias = 2.0 * rows["ned_from_body"][:, 1:], rows["gyro_bias_rad_s"]
@@ -141,7 +141,7 @@ def test_the_way_back_finds_what_one_dense_solution_finds(states, seed):
 
 def test_the_wind_that_is_found_later_parts_from_the_velocity_before():
     problem = Problem(AIDED, 6, 5, wind_at=3)
-    nodes, rows = problem.tape()
+    nodes, rows = problem.history()
     smoother.smooth(nodes, len(nodes), rows)
     expected, covariances = problem.dense()
     np.testing.assert_allclose(
@@ -152,12 +152,12 @@ def test_the_wind_that_is_found_later_parts_from_the_velocity_before():
 
 
 def rotated_about_down(angle):
-    """Matrix [3, 3] of the turn and the one [n, n] of all error states."""
+    """Matrix [3, 3] of the rotation and the one [n, n] of all error states."""
     c, s = np.cos(angle), np.sin(angle)
-    turn, whole = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.eye(ERROR_STATES)
+    rotation, whole = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.eye(ERROR_STATES)
     for n in (0, VELOCITY, WIND):
-        whole[n : n + 2, n : n + 2] = turn[:2, :2]
-    return turn, whole
+        whole[n : n + 2, n : n + 2] = rotation[:2, :2]
+    return rotation, whole
 
 
 def covariance_of(node):
@@ -167,16 +167,16 @@ def covariance_of(node):
 
 
 @pytest.mark.parametrize("k", [1, 4])
-def test_what_was_in_other_axes_before_a_heading_was_found_is_turned_to_north(k):
-    """The same tape, up to node k told in axes turned by -angle."""
+def test_what_was_in_other_axes_before_a_heading_was_found_is_rotated_to_north(k):
+    """The same history, up to node k in axes rotated by -angle."""
     angle = 2.0
-    nodes, rows = Problem(AIDED, 6, 6).tape()
+    nodes, rows = Problem(AIDED, 6, 6).history()
     other, other_rows = nodes.copy(), rows.copy()
-    turn, whole = rotated_about_down(-angle)
+    rotation, whole = rotated_about_down(-angle)
     for n in range(1, k + 3):
         node = other[n]
-        node["rotation_s"] = turn @ node["rotation_s"]
-        node["impulse_m_s"] = turn @ node["impulse_m_s"]
+        node["rotation_s"] = rotation @ node["rotation_s"]
+        node["impulse_m_s"] = rotation @ node["impulse_m_s"]
         if n == k + 2:
             break
         for name in ("applied", "late"):
@@ -200,18 +200,18 @@ def test_what_was_in_other_axes_before_a_heading_was_found_is_turned_to_north(k)
     )
 
 
-def _predict(turned, turned_before, node, before):
-    """Bring the variances predicted at `node` to `turned`, whose noise is the same."""
+def _predict(rotated, rotated_before, node, before):
+    """Bring the variances predicted at `node` to `rotated`, whose noise is the same."""
     predicted = []
-    for one, start in ((node, before), (turned, turned_before)):
+    for one, start in ((node, before), (rotated, rotated_before)):
         p = covariance_of(start)
         way = one["rotation_s"], one["rate_rad_s"], one["impulse_m_s"]
         mekf.propagate(p, AIDED, *way, np.empty((3, ERROR_STATES)))
         predicted.append(np.diag(p))
-    turned["variance"] = node["variance"] - predicted[0] + predicted[1]
+    rotated["variance"] = node["variance"] - predicted[0] + predicted[1]
 
 
-def test_corrections_and_a_turn_about_down_after_them_add_up():
+def test_corrections_and_a_later_rotation_about_down_add_up():
     state = pipeline.new_state()[0]
     state["states"] = AIDED
     correction = state["correction"][:] = np.linspace(0.01, 0.24, ERROR_STATES)
@@ -223,12 +223,12 @@ def test_corrections_and_a_turn_about_down_after_them_add_up():
 
 
 def test_states_without_variance_take_no_part():
-    """A filter that is told a perfect gyro matrix finds the same with these states and without."""
+    """With a gyro matrix given as perfect, results are the same with and without these states."""
     problem = Problem(UNAIDED, 6, 3)
     problem.start[12:, 12:] = 0.0
     for noise in problem.noises:
         noise[12:] = 0.0
-    nodes, rows = problem.tape()
+    nodes, rows = problem.history()
     smoother.smooth(nodes, len(nodes), rows)
     expected, _ = problem.dense()
     np.testing.assert_allclose(
@@ -238,7 +238,7 @@ def test_states_without_variance_take_no_part():
 
 def test_between_two_nodes_the_change_is_even():
     problem = Problem(UNAIDED, 2, 4)
-    nodes, at_nodes = problem.tape()
+    nodes, at_nodes = problem.history()
     nodes["sample"][1:] *= 5
     rows = empty(ESTIMATE_DTYPE, 11)
     for name in ("ned_from_body", "gyro_bias_rad_s", "rate_rad_s", "accel_m_s2"):

@@ -70,7 +70,7 @@ def test_coning_converges_with_third_order_from_instants_and_fifth_from_means(is
     [(50.0, False, 0.1), (200.0, False, 2e-3), (50.0, True, 5e-3), (200.0, True, 3e-6)],
 )
 def test_coning_drifts_little(rate_hz, is_mean, limit_deg):
-    # 5 Hz coning of 5.7 deg is violent: its axis turns by 9 deg in that second.
+    # 5 Hz coning of 5.7 deg is violent: its axis drifts by 9 deg in that second.
     assert math.degrees(error_after_one_second(rate_hz, is_mean)) < limit_deg
 
 
@@ -90,7 +90,7 @@ def test_constant_rate_is_exact(is_mean, before_s):
 
 @pytest.mark.parametrize("before_s", [0.005, 0.01, 0.04])
 def test_a_parabola_of_rate_is_exact_at_uneven_steps(before_s):
-    """About one axis the turn is the integral of the rate."""
+    """About one axis the rotation is the integral of the rate."""
     q, dt_s = np.array([1.0, 0.0, 0.0, 0.0]), 0.02
     polynomial = np.polynomial.Polynomial([0.4, -3.0, 50.0])
     rates = [np.array([0.0, polynomial(t), 0.0]) for t in (-before_s, 0.0, dt_s)]
@@ -101,7 +101,7 @@ def test_a_parabola_of_rate_is_exact_at_uneven_steps(before_s):
 @pytest.mark.parametrize("before_s", [0.01, 0.02, 0.04])
 @pytest.mark.parametrize("is_mean", [False, True])
 def test_coning_is_of_the_right_size_at_uneven_steps(before_s, is_mean):
-    """Savage 1998: a rate w + g t turns by w dt + g dt^2 / 2 + (w x g) dt^3 / 12."""
+    """Savage 1998: a rate w + g t rotates by w dt + g dt^2 / 2 + (w x g) dt^3 / 12."""
     w, g, dt_s = np.array([0.3, 0.0, 0.0]), np.array([0.0, 4.0, 0.0]), 0.02
     ages = [-1.5 * before_s, -0.5 * before_s, 0.5 * dt_s] if is_mean else [-before_s, 0.0, dt_s]
     q = np.array([1.0, 0.0, 0.0, 0.0])

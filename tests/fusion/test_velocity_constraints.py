@@ -1,4 +1,4 @@
-"""The velocity filter on flights where the accelerometer alone would lie."""
+"""The velocity filter on flights where the accelerometer alone would mislead."""
 
 import numpy as np
 import pytest
@@ -66,7 +66,7 @@ def test_rest_teaches_the_bias():
 @pytest.mark.parametrize("airframe", [Airframe.FIXED_WING, Airframe.MULTIROTOR])
 @pytest.mark.parametrize(("angle_deg", "frequency_hz"), [(10.0, 0.2), (30.0, 0.3), (45.0, 0.05)])
 def test_tilted_by_hand_drag_is_doubted(airframe, angle_deg, frequency_hz):
-    """Gravity along the axes is no wind: a vehicle on the bench shows its tilt to some degrees."""
+    """Gravity along the axes is no wind: the tilt of a vehicle on the bench is right to degrees."""
     t = np.arange(6000) / 100.0
     angle = np.radians(angle_deg) * np.clip((t - 3.0) / 2.0, 0.0, 1.0)
     roll = angle * np.sin(2.0 * np.pi * frequency_hz * t)

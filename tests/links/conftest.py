@@ -26,17 +26,17 @@ def arrived():
 
 
 class Conversation:
-    """Component and autopilot tick together; what is to go wrong is set from outside.
+    """Component and autopilot tick together; faults are set from outside.
 
     `deaf` no command reaches the autopilot; `lose_acks` so many answers are lost; `refuse` answers
     SET_MESSAGE_INTERVAL of these messages with this result; `withhold` never arrive. `sent` are
-    the messages of the component as they arrive, with their time; `told` its events.
+    the messages of the component as they arrive, with their time; `events` its events.
     """
 
     def __init__(self, rows, settings=None, loop_hz=LOOP_HZ, rates_hz=DEFAULT_RATES_HZ):
         self.component = Component(settings or Settings())
         self.now_s = 1000.0
-        self.sent, self.told, self.heard = [], [], Counter()
+        self.sent, self.events, self.heard = [], [], Counter()
         self.deaf, self.lose_acks, self.refuse, self.withhold = False, 0, {}, set()
         self.cut = False
         self._rows, self._loop_hz, self._rates_hz = rows, loop_hz, rates_hz
@@ -44,7 +44,7 @@ class Conversation:
         self.boot()
 
     def boot(self):
-        """Switch the autopilot on anew: its clock restarts and nothing is asked of it."""
+        """Restart the autopilot: its clock starts at 0 and all requests are lost."""
         self.autopilot = SimulatedAutopilot(self._rows, self._loop_hz, self._rates_hz)
         self.boot_s = self.now_s
 
@@ -56,7 +56,7 @@ class Conversation:
                 self._deliver(decode_frame(frame))
             for message in self.component.tick(self.now_s, state):
                 self._send(message)
-            self.told += self.component.drain_events()
+            self.events += self.component.drain_events()
 
     def _deliver(self, message):
         name = message.get_type()
@@ -104,8 +104,8 @@ class Conversation:
         ]
 
     def texts(self, part):
-        """What the component told that contains this."""
-        return [text for _, text in self.told if part in text]
+        """Events of the component that contain this text."""
+        return [text for _, text in self.events if part in text]
 
 
 @pytest.fixture(scope="session")

@@ -17,7 +17,7 @@ SECONDS = 12.0
 
 
 def estimates_of(samples, gyro_sample):
-    """The gate never opens once it moves: what follows is strapdown integration alone.
+    """The gate never opens once it moves: from then on it is strapdown integration alone.
 
     By the rate, since at the onset of a motion the norm of the force changes to second order only.
     """
@@ -34,7 +34,7 @@ def angles_deg(p, q):
 
 
 def cone(swing, frequency_hz, angle_rad):
-    """Roll and pitch a quarter of a turn apart: the axis of tilt goes round."""
+    """Roll and pitch 90 degrees out of phase: the tilt axis rotates."""
     still = [0.0, 1.0, 0.0]
     roll, pitch = [angle_rad, frequency_hz, 0.0], [angle_rad, frequency_hz, math.pi / 2]
     return swing([[roll], [pitch], [still]])
@@ -77,7 +77,7 @@ def test_coning_drifts_little(
 ):
     motion = cone(swing, frequency_hz, angle_rad)
     rate_hz = samples_a_cycle * frequency_hz
-    # The drift goes with the solid angle of the cone and the turns made.
+    # The drift is proportional to the solid angle of the cone and the number of cycles.
     size = (angle_rad / 0.1) ** 2 * frequency_hz / 5.0
     assert error_deg(motion, rate_hz, gyro_sample) < limit_deg * size
 

@@ -1,6 +1,6 @@
-"""The reported 1-sigma against the true error, over flights that each have their own sensor.
+"""The reported 1-sigma against the true error, over flights with a different sensor each.
 
-tests/benchmarks/consistency.py prints more of them, longer, and says what is drawn.
+tests/benchmarks/consistency.py runs more and longer ones, and explains what is drawn.
 """
 
 import functools
@@ -28,7 +28,7 @@ def estimate(samples, settings):
 def tilt_in_sigmas(estimates, ned_from_body):
     """True tilt about the estimated north and east over the reported sigma [K, 2], at 2 Hz.
 
-    truth = dq(turn about down) dq(tilt) estimate: six axes do not know the turn.
+    truth = dq(rotation about down) dq(tilt) estimate: six axes do not observe the heading.
     """
     running = np.flatnonzero(estimates["phase"] == Phase.RUNNING)[::50]
     ours, truth = estimates[running], ned_from_body[running]

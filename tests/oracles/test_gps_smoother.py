@@ -1,4 +1,4 @@
-"""The smoother by which the benchmarks judge, against its own derivatives and a known flight."""
+"""The benchmarks' reference smoother against its own derivatives and a known flight."""
 
 import sys
 from pathlib import Path
@@ -50,7 +50,7 @@ def test_transition_is_the_derivative_of_the_integration(smoother):
         turn = smoother._log(other[0] @ end[0].T) / small
         push = (other[1] - end[1]) / small
         np.testing.assert_allclose(transition[:3, i], turn, atol=2e-5)
-        # Steps of 20 ms: what turns within one is left out of the derivative.
+        # Steps of 20 ms: rotation within a step is neglected in the derivative.
         np.testing.assert_allclose(transition[3:6, i], push, atol=1e-3)
 
 

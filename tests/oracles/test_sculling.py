@@ -18,7 +18,7 @@ SECONDS = 12.0
 
 
 def velocity_error_m_s(motion, t, sample):
-    """Error of the velocity at the last of the times [s]; nothing bounds it once it moves."""
+    """Error of the velocity at the last of the times [s]; it is unbounded once moving."""
     unbounded = replace(
         OTHER,
         velocity_sigma_m_s=(1e6, 1e6, 1e6),
@@ -30,7 +30,7 @@ def velocity_error_m_s(motion, t, sample):
     )
     settings = Settings(
         gate=GateSettings(norm_m_s2=1e-9),
-        # Never at rest: what holds the velocity there lets go some samples after it moves.
+        # Never at rest: zero-velocity updates stop only some samples after it moves.
         fusion=FusionSettings(airframe="other", gyro_sample=sample, gyro_rest_sigma_rad_s=1e-9),
         other=unbounded,
     )
@@ -76,7 +76,7 @@ def test_the_oracle_agrees_with_its_own_derivative(swing):
 )
 @pytest.mark.parametrize("frequency_hz", [1.0, 2.0, 5.0])
 def test_sculling_adds_little_velocity(swing, frequency_hz, sample, samples_a_cycle, limit_m_s):
-    """Not seen at all, it is half of angle times acceleration: 0.5 m/s^2 for nine seconds."""
+    """If unresolved, it is half of angle times acceleration: 0.5 m/s^2 for nine seconds."""
     motion = scull(swing, frequency_hz, 0.2, 5.0)
     error = velocity_error_m_s(motion, regular(samples_a_cycle * frequency_hz), sample)
     assert error < limit_m_s

@@ -27,7 +27,7 @@ TABLES = [name for name in SCENARIOS if name.startswith("rate-table")]
 
 
 def budget_of(tilt_deg, **values):
-    """A budget whose three accelerations fake that much tilt."""
+    """A budget whose three accelerations add up to that tilt error."""
     acceleration = G * math.tan(math.radians(tilt_deg))
     return GateBudget(
         acceleration_m_s2=acceleration,

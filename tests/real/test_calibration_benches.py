@@ -1,4 +1,4 @@
-"""The procedures on real benches: noise of the sensors' class, and poses that are not there."""
+"""The procedures on real benches: noise of the sensors' class, and missing poses."""
 
 import json
 
@@ -56,7 +56,7 @@ def test_what_the_autopilot_took_off_before_is_reported(shared, capsys):
 
 
 def test_the_rests_of_broad_are_one_pose(shared):
-    """Sixteen trials, and in each the sensor rests as it lay before: nothing to calibrate from."""
+    """Sixteen trials, in each the sensor rests in the same pose: too little to calibrate."""
     folder = shared / "broad"
     if not folder.is_dir():
         pytest.skip("no folder broad in ../shared/data")
@@ -65,7 +65,7 @@ def test_the_rests_of_broad_are_one_pose(shared):
             gyro, accel = file["imu_gyr"].astype(float), file["imu_acc"].astype(float)
             time_s = np.arange(len(gyro)) / float(file["sampling_rate"])
         poses = find_poses(ImuColumns(time_s, gyro, accel, np.full(len(gyro), np.nan)))
-        # Complete rest for 25 s or more before the movement, as the data set says.
+        # Complete rest for 25 s or more before the movement, according to the data set.
         assert poses["stop_s"][0] > 20.0
         with pytest.raises(CalibrationError, match="in 1 different direction: take 12 or more"):
             fit_accelerometer(poses)

@@ -13,7 +13,7 @@ from ahrs_service.links.logs.recording_formats import read_recorded_parameters
 from ahrs_service.records import ImuSource
 
 KNOWN = {
-    # name: (largest offset of IMU 1 [m/s^2], told by another than the vehicle)
+    # name: (largest offset of IMU 1 [m/s^2], reported by another sender than the vehicle)
     "bench_cuav_2021-12-08_static_warmup_2hz.tlog": (0.252, True),
     "bench_cuavv5_2021-12-08.bin": (0.252, False),
     "bench_matekh743_2021_isbd2khz_warmup.bin": (0.437, False),
@@ -30,16 +30,16 @@ KNOWN = {
 def test_offsets_were_applied_and_temperature_was_not(shared, name):
     offset, is_copy = KNOWN[name]
     recorded = read_recorded_parameters(shared / "flights" / name)
-    told = already_compensated(recorded.values, ImuSource.SCALED_IMU, recorded.autopilot)
-    assert f"offsets up to {offset:.3f} m/s^2" in told[0]
-    assert not any("compensated temperature" in text for text in told)
+    reported = already_compensated(recorded.values, ImuSource.SCALED_IMU, recorded.autopilot)
+    assert f"offsets up to {offset:.3f} m/s^2" in reported[0]
+    assert not any("compensated temperature" in text for text in reported)
     assert bool(recorded.notes) is is_copy
     assert all(form.span_degc is None for form in forms_in_force(recorded.values).values())
 
 
 @pytest.mark.parametrize("name", list(KNOWN))
 def test_real_parameters_survive_import_and_export_to_the_last_bit(shared, name):
-    """Also where the board is turned: by ROLL_90 (the ROV), by 1.5 deg about x and y (the AUAV)."""
+    """Also with a rotated board: by ROLL_90 (the ROV), by 1.5 deg about x and y (the AUAV)."""
     values = read_recorded_parameters(shared / "flights" / name).values
     turn = board_rotation(values)
     if "CAL_ACC0_ID" in values:

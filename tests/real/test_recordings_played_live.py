@@ -90,7 +90,7 @@ class Service:
 
 
 async def fly_all(services: list[Service], log: TlogFile) -> None:
-    """All links at once: what is measured is by the data's clock, so sharing costs nothing."""
+    """All links at once: times are on the data's clock, so sharing the CPU has no influence."""
     try:
         async with asyncio.timeout(HANG_S):
             await asyncio.gather(*(service.start() for service in services))
@@ -101,7 +101,7 @@ async def fly_all(services: list[Service], log: TlogFile) -> None:
 
 
 def check_attitudes(heard: list[Any], estimates: Any) -> None:
-    """ATTITUDE came back at the rate asked for, as of the samples' clock, with our values."""
+    """ATTITUDE came back at the requested rate, on the samples' clock, with our values."""
     running = estimates[estimates["phase"] == Phase.RUNNING]
     ours = [message for message in heard if message.get_type() == "ATTITUDE"]
     flown_s = (running["time_ns"][-1] - running["time_ns"][0]) / 1e9

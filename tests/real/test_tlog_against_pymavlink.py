@@ -23,12 +23,12 @@ RECORDINGS = FLIGHTS + SIMULATED + CASES
 SLICE_BYTES = 300_000
 
 pytestmark = pytest.mark.skipif(
-    not RECORDINGS, reason="no recordings in ../shared/data beside the project"
+    not RECORDINGS, reason="no recordings in ../shared/data next to the project"
 )
 
 
 def decoded(tlog: TlogFile) -> Iterator[Any]:
-    """The frames as pymavlink decodes them, its own checksum test included."""
+    """The frames as decoded by pymavlink, including its checksum test."""
     oracle = dialect.MAVLink(None)
     content = tlog.data.tobytes()
     for offset, length in tlog.frames[["offset", "length"]].tolist():

@@ -1,4 +1,4 @@
-"""Recordings edited frame by frame, and what the service makes of them."""
+"""Recordings edited frame by frame, and their replays."""
 
 import copy
 import math
@@ -23,7 +23,7 @@ from ahrs_service.settings import LinkSettings, RecorderSettings, Settings
 IMU = ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU")
 TICK_S = 0.05
 CALM_S = {"simulated": 2.2, "copter": 34.0, "px4": 15.0}
-"""From here on the vehicle hardly turns for some seconds."""
+"""From here on the vehicle hardly rotates for some seconds."""
 REAL = {
     "copter": ("copter_quad106_50hz_reencoded.tlog", 480.0, 530.0),
     "px4": ("px4_auavx2_quad_250hz_reencoded.tlog", 5.0, 35.0),
@@ -184,7 +184,7 @@ class Recorded:
         return self.frames[-1].t_s
 
     def edit(self, rewrite: Callable[[Frame], Iterable[Frame]], start_s=0.0, stop_s=math.inf):
-        """Put what `rewrite` gives in the place of each frame from `start_s` to `stop_s`."""
+        """Replace each frame from `start_s` to `stop_s` by the result of `rewrite`."""
         out = []
         for frame in self.frames:
             out.extend(rewrite(frame) if start_s <= frame.t_s < stop_s else (frame,))
@@ -242,7 +242,7 @@ class Recorded:
     # -- what the service makes of it ---------------------------------------------------------
 
     def write(self, tail=b""):
-        """Write it as a .tlog; bytes that are no frame stand without a stamp of their own."""
+        """Write it as a .tlog; bytes that are no frame get no stamp."""
         path = self._folder / f"{len(list(self._folder.iterdir()))}.tlog"
         path.write_bytes(
             b"".join(
@@ -265,7 +265,7 @@ class Recorded:
         return Outcome(result, self.start_us, estimator)
 
     def live(self, settings=None):
-        """The estimator after all frames came one by one, each decoded from its bytes."""
+        """The estimator after all frames were given one by one, each decoded from its bytes."""
         estimator, rows = Estimator(settings or Settings()), empty(READING_DTYPE, 1)
         decoder = Decoder(datagrams=True)
         for frame in self.frames:

@@ -88,7 +88,7 @@ def test_another_message_steps_in_for_a_gyro_that_sends_no_numbers(flight, unedi
 
 
 @pytest.mark.parametrize("field", ["zacc", "xgyro"])
-def test_a_clipping_sensor_is_flagged_and_not_taken_for_the_vertical(base, unedited, field):
+def test_a_clipping_sensor_is_flagged_and_not_used_as_the_vertical(base, unedited, field):
     value = {"zacc": -157.0, "xgyro": 34.95}[field]
     original = unedited(base)
     start_s = base.calm_s

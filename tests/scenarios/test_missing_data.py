@@ -61,7 +61,7 @@ def test_highres_imu_disappears_and_another_message_of_the_same_imu_steps_in(fli
     between = (outcome.t_s > 20.6) & (outcome.t_s < 29.9)
     assert set(outcome.estimates["source"][between]) == {ImuSource.RAW_IMU}
     assert outcome.estimates["source"][-1] == ImuSource.HIGHRES_IMU
-    # The same sensor by another message: nothing is aligned anew, and the turn is not lost.
+    # The same sensor by another message: no new alignment, and no rotation is lost.
     assert not {"realigned", "imu_changed", "gap"} & set(outcome.summary.flags)
     assert outcome.tilt_from(original, 20.0, 30.0) < 5.0
     assert outcome.tilt_from(original, 31.0) < 3.0
@@ -129,7 +129,7 @@ def test_imu_at_2_hz_is_flagged_and_warned_of(base):
     assert "gap" not in outcome.summary.flags
     warning = outcome.summary.warnings[0]
     assert warning.startswith(("IMU at 2.0 Hz", "IMU at 1.9 Hz"))
-    assert "follows the accelerometer alone and means nothing in manoeuvres" in warning
+    assert "follows the accelerometer alone and is meaningless in manoeuvres" in warning
     said = [text for t_s, text in outcome.health() if t_s > 2.0]
     assert all("IMU below 20 Hz" in text and "no IMU" not in text for text in said)
 
@@ -159,7 +159,7 @@ def test_a_temperature_that_stops_coming_is_reported_after_ten_seconds(flight, u
     ]
 
 
-def test_the_barometers_temperature_is_never_taken_for_the_imus(base, unedited):
+def test_the_barometers_temperature_is_never_used_as_the_imus(base, unedited):
     def hot(message):
         message.temperature = 99.0
         message.fields_updated = (message.fields_updated or 0xEFFF) | 0x1000

@@ -16,7 +16,7 @@ GROUND = (255, 190)
 
 
 def ground_traffic(packed, messages, system, component):
-    """What a ground station sends, message after message, for as long as asked."""
+    """The messages of a ground station, without end."""
     say = [
         messages.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3),
         messages.MAVLink_param_request_list_message(system, component),
@@ -118,7 +118,7 @@ def test_noise_between_frames_hides_none(base, unedited):
     def rustle(frame):
         if chance.random() > 0.1:
             return []
-        # The first byte says that it is no frame; the others may be anything.
+        # The first byte marks it as no frame; the others are arbitrary.
         data = b"\x55" + chance.randbytes(chance.randrange(1, 60))
         noise[0] += len(data)
         return [data]

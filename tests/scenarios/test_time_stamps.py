@@ -145,7 +145,7 @@ def test_a_clock_set_back_a_little_is_found_after_a_few_samples(base, unedited):
     late = np.flatnonzero(outcome.estimates["flags"] & Flag.REORDERED)[-5:]
     assert late.tolist() == list(range(jump - 5, jump))
     assert outcome.estimates["phase"].tobytes() == original.estimates["phase"].tobytes()
-    # The turn of the samples left out is made up for, so that little is left to correct.
+    # The rotation of the missing samples is bridged, and little is left to correct.
     soon_s = outcome.t_s[jump]
     assert outcome.tilt_from(original, soon_s, soon_s + 2.0) < 1.5
     assert outcome.tilt_from(original, soon_s + 2.0, soon_s + 4.0) < 1.0
@@ -162,7 +162,7 @@ def test_stamps_since_1970_serve_as_well_as_those_since_boot(base, unedited):
     assert (outcome.estimates["time_ns"] - original.estimates["time_ns"] == UNIX_US * 1000).all()
 
 
-def test_two_messages_with_different_clocks_take_turns_without_aligning_anew(flight, unedited):
+def test_two_messages_with_different_clocks_alternate_without_realignment(flight, unedited):
     def unix(message):
         message.time_usec += UNIX_US
 

@@ -1,4 +1,4 @@
-"""A gyro that is stuck or silent in a manoeuvre: the attitude says how little it knows."""
+"""A gyro that is stuck or silent in a manoeuvre: the attitude's sigma covers its error."""
 
 import math
 
@@ -65,7 +65,7 @@ def test_without_a_number_sigma_grows_with_the_time(flight):
 
 
 def test_coarse_readings_at_rest_are_not_stuck():
-    """Readings of one count stay the same for long; only in a turn is that a fault."""
+    """Readings of one count stay the same for long; only during rotation is that a fault."""
     random = np.random.default_rng(1)
     count, t = 6000, np.arange(6000) / RATE_HZ
     step = 1e-3

@@ -42,7 +42,7 @@ def curves(draw, columns, size):
 
 @st.composite
 def triads(draw, largest):
-    """A triad whose drift stays a small part of the output over its range `largest`."""
+    """A triad with a drift that is a small part of its output range `largest`."""
     matrix = np.eye(3) + np.array(
         draw(st.lists(floats(-0.1, 0.1), min_size=9, max_size=9))
     ).reshape(3, 3)

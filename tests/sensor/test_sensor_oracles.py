@@ -1,4 +1,4 @@
-"""A sensor's model and its inverse against numbers worked out by hand, each way by itself."""
+"""A sensor's model and its inverse, each against numbers worked out by hand."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def test_the_drift_of_an_output_of_2_at_30_degc(triad):
 
 
 def test_gyros_and_accelerometers_have_temperatures_of_their_own():
-    """Of a step from 20 to 40 degC a lag of 10 s shows 1 - 1 / e after 10 s, 12.642 degC.
+    """Of a step from 20 to 40 degC a lag of 10 s reads 1 - 1 / e after 10 s, 12.642 degC.
 
     c is 1 per 20 degC above 20: 0.63212 on the gyros, 1 on the accelerometers, that lag not.
     """
@@ -91,7 +91,7 @@ def test_what_gyros_feel_of_the_force_is_taken_off():
 
 
 def test_a_matrix_has_outputs_in_rows():
-    """Output y has 0.02 of input x: of (1, 0, 0) it shows 0.02."""
+    """Output y has 0.02 of input x: for (1, 0, 0) it reads 0.02."""
     matrix = ((1.0, 0.0, 0.0), (0.02, 1.0, 0.0), (0.0, 0.0, 0.5))
     rows = coefficients(Calibration(accel=TriadCalibration(matrix=matrix)))
     output = np.array([[1.0, 0.02, 2.0]])
@@ -111,7 +111,7 @@ def test_the_same_polynomial_from_a_border_further_on():
 
 
 def test_live_each_triad_remembers_a_temperature_of_its_own():
-    """10 s after a step from 20 to 40 degC: lags of 10 and 20 s show 1 - 1 / e and 1 - e^-0.5."""
+    """10 s after a step from 20 to 40 degC: lags of 10 and 20 s read 1 - 1 / e and 1 - e^-0.5."""
     rows = coefficients(
         Calibration(
             gyro=TriadCalibration(thermal_lag_s=10.0), accel=TriadCalibration(thermal_lag_s=20.0)

@@ -28,7 +28,7 @@ def test_a_sensing_element_that_warms_later_follows_a_step_as_an_exponential():
 
 
 def test_of_a_thermometer_that_lags_the_lag_is_undone():
-    """On a ramp of r degC/s a lag of tau shows r tau too little; nothing of it is left."""
+    """On a ramp of r degC/s a lag of tau reads r tau too low; this is fully corrected."""
     slope = 0.1
     shown = 20.0 + slope * (TIME_S - LAG_S * (1.0 - np.exp(-TIME_S / LAG_S)))
     acting = acting_columns(with_lags(0.0, -LAG_S), shown, TIME_S)
@@ -50,7 +50,7 @@ def test_a_step_of_the_thermometer_is_enlarged_by_the_gain_and_no_more():
     assert acting[-1] == pytest.approx(20.1, abs=1e-3)
 
 
-def test_after_a_time_without_the_temperature_that_comes_is_taken_for_all_of_it():
+def test_after_a_time_without_temperature_the_next_one_is_used_for_all_of_it():
     reported = np.full(100, 30.0)
     reported[0], reported[10:20] = 20.0, np.nan
     rows = with_lags(LAG_S, -LAG_S)

@@ -1,4 +1,4 @@
-"""The rate table's motion against its own laws: the swing, and what an arm adds."""
+"""The rate table's motion against its equations: the swing, and the effect of an arm."""
 
 import math
 
@@ -52,7 +52,7 @@ def test_rates_are_those_of_the_attitude(swung):
 
 
 def test_force_is_that_of_the_motion(swung):
-    """Second differences of the position turned into body axes, less gravity."""
+    """Second differences of the position, rotated to body axes, less gravity."""
     _, rows = swung
     place = rows["position_ned_m"]
     acceleration = (place[2:] - 2.0 * place[1:-1] + place[:-2]) * RATE_HZ**2

@@ -1,4 +1,4 @@
-"""Oracle of the reference track: a flight's own truth, seen at the rate of a reference."""
+"""Oracle of the reference track: a flight's truth, sampled at the rate of a reference."""
 
 import dataclasses
 

@@ -169,7 +169,7 @@ def test_pressure_is_that_of_the_standard_atmosphere(flight):
 
 
 def test_vibration_above_half_the_rate_appears_as_its_alias():
-    """A shaft at 90 Hz sampled at 100 Hz shows at 10 Hz, its double at 20 Hz."""
+    """A shaft at 90 Hz sampled at 100 Hz aliases to 10 Hz, its harmonic to 20 Hz."""
     propeller = Propeller(idle_hz=90.0, full_hz=90.0, harmonics=(1.0, 0.5))
     _, force = propeller.shake(np.full(1000, 1.0), 100.0, np.random.default_rng(0))
     size = np.abs(np.fft.rfft(force[:, 0]))

@@ -30,7 +30,7 @@ def test_a_single_point_spreads_as_the_cardinal_spline():
 
 @pytest.mark.parametrize("order", [2, 4])
 def test_slopes_are_those_of_the_values(order):
-    """Central differences of second and fourth order close in at their own rate."""
+    """Central differences of second and fourth order converge at their order."""
     control = np.random.default_rng(2).normal(size=(30, 1))
     spline = UniformSpline(control, STEP_S)
     time_s = np.linspace(2.013, 3.017, 11)

@@ -46,7 +46,7 @@ def attitude_error(rate_hz):
 
 
 def velocity_error(rate_hz):
-    """Largest distance of the velocity from the trapezoid sum of turned force and gravity."""
+    """Largest distance of the velocity from the trapezoid sum of rotated force and gravity."""
     rows = truth(rate_hz)
     acceleration = rotate_columns(rows["ned_from_body"], rows["force_m_s2"]) + GRAVITY
     steps = 0.5 * (acceleration[1:] + acceleration[:-1]) / rate_hz

@@ -1,4 +1,4 @@
-"""Estimates of a short made-up flight, and a reader of what was written of them."""
+"""Estimates of a short synthetic flight, and a reader of the files written from them."""
 
 import os
 

@@ -108,7 +108,7 @@ def test_scene_is_the_first_row_of_each_40_ms(written, flight):
     assert set(colours[~trusted]) == {0xD8343FFF}
 
 
-def test_world_is_turned_so_that_the_nose_points_ahead(written, flight):
+def test_world_is_rotated_for_the_nose_to_point_ahead(written, flight):
     """Heading-up: world_from_ned * ned_from_body has no yaw left."""
     from ahrs_service.rotation import multiply_columns
 
@@ -198,7 +198,7 @@ def test_trust_is_reported_for_each_second(tmp_path, flight, read):
 
 
 def with_readings(flight):
-    """What the sensor gave for each estimate: off by a bias of its own."""
+    """The sensor's raw reading for each estimate, with a bias."""
     readings = empty(READING_DTYPE, len(flight))
     readings["time_ns"] = flight["time_ns"]
     readings["gyro_rad_s"] = flight["rate_rad_s"] + 0.1

@@ -60,7 +60,7 @@ def test_live_and_replay_show_the_same_raw_values(tmp_path, flight, read):
     readings["gyro_rad_s"], readings["accel_m_s2"] = flight["rate_rad_s"], 2.0
     viewer = LiveViewer(0, tmp_path / "live.rrd", period_s=0.001, shows_sensor=True)
     viewer.start()
-    # A calibration that comes in flight: before it nothing is shown.
+    # A calibration applied in flight: before it nothing is shown.
     for i in range(len(flight)):
         viewer.estimate(flight[i : i + 1], readings[i : i + 1] if i >= 500 else None)
     viewer.close()

@@ -1,4 +1,4 @@
-"""Pictures hold what they were given: read back from the SVG, and the same each time."""
+"""Pictures hold the data given: read back from the SVG, and identical each time."""
 
 import re
 from dataclasses import dataclass, field

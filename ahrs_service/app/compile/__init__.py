@@ -1,1 +1,1 @@
-"""Machine code ahead of time, and word of it where a command has to wait for it."""
+"""Compilation ahead of time, and progress messages where a command has to wait for it."""

@@ -1,8 +1,8 @@
 """Compile the kernels now instead of at the first start of each command.
 
-For installers, images of a system and the service's unit (ExecStartPre). What is compiled already
-is only loaded; --live limits it to what `run` and `demo` need. The machine code is kept beside
-the package where that can be written, else in $CACHE_DIRECTORY, $XDG_CACHE_HOME or ~/.cache.
+For installers, system images and the service's unit (ExecStartPre). Kernels compiled already
+are only loaded; --live limits it to what `run` and `demo` need. The machine code is kept next to
+the package where that is writable, else in $CACHE_DIRECTORY, $XDG_CACHE_HOME or ~/.cache.
 
 Examples:
   ahrs-service compile
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compile what is missing and say what was done; return the exit code."""
+    """Compile what is missing and report it; return the exit code."""
     console = Console(soft_wrap=True, highlight=False)
     steps = {"live service": kernels_of_the_link} if arguments.live else STEPS
     total, spent_s = 0, 0.0

@@ -1,6 +1,6 @@
-"""Word of kernels being compiled: kernel n of m, on stderr, from whichever command needs them.
+"""Progress of kernel compilation: kernel n of m, on stderr, in any command that needs them.
 
-A bar in a terminal, elsewhere a line every few seconds. Code that is loaded from the cache says
+A bar in a terminal, elsewhere a line every few seconds. Code loaded from the cache prints
 nothing.
 """
 
@@ -36,14 +36,14 @@ class CompileProgress(event.Listener):
         self._began_s = self._line_s = 0.0
 
     def on_start(self, event: Any) -> None:
-        """Note that a function begins to compile."""
+        """Note that compilation of a function starts."""
         dispatcher = event.data["dispatcher"]
         if not self._nested:
             self._begin(dispatcher)
         self._nested.append(dispatcher)
 
     def on_end(self, event: Any) -> None:
-        """Count it, and say so when it is time; the outermost ends the display."""
+        """Count it and report it when due; the outermost ends the display."""
         dispatcher = self._nested.pop()
         if _is_ours(dispatcher.py_func):
             self.compiled += 1
@@ -75,7 +75,7 @@ class CompileProgress(event.Listener):
             self._bar.update(self._bar.task_ids[0], completed=done)
             return
         now_s = time.monotonic()
-        # The small ones are done before anyone waits for word of them.
+        # The small ones are done before progress is worth showing.
         if len(self._ahead) > 1 and now_s - self._line_s >= LINE_EVERY_S:
             self._line_s = now_s
             number = min(done + 1, len(self._ahead))
@@ -92,7 +92,7 @@ class CompileProgress(event.Listener):
 
 @contextmanager
 def telling(console: Console) -> Iterator[CompileProgress]:
-    """Tell of all that is compiled in the block."""
+    """Report everything that is compiled in the block."""
     listener = CompileProgress(console)
     with event.install_listener(_EVENT, listener):
         yield listener

@@ -1,7 +1,7 @@
-"""Small real work by which every kernel that a command needs is compiled once.
+"""A small real workload that compiles every kernel a command needs.
 
-A kernel is compiled for the types that it is called with; nothing but the callers themselves knows
-these. So each step runs them, on a few seconds of a simulated flight.
+A kernel is compiled for the types that it is called with; only the callers themselves know
+these. Each step therefore runs them, on a few seconds of a simulated flight.
 """
 
 import contextlib
@@ -36,7 +36,7 @@ def kernels_of_the_link() -> None:
 
 
 def kernels_of_recordings() -> None:
-    """Compile what reads recordings, replays and smooths them."""
+    """Compile what reads, replays and smooths recordings."""
     with tempfile.TemporaryDirectory() as folder:
         flight, log = Path(folder) / "flight.tlog", Path(folder) / "log.bin"
         _command("simulate", "--tlog", str(flight), "--seconds", _FLIGHT_S)
@@ -62,7 +62,7 @@ def kernels_of_calibration() -> None:
 
 
 def _command(*words: str) -> None:
-    """Run a command of the program and keep what it says to itself."""
+    """Run a command of the program and suppress its output."""
     module = importlib.import_module("ahrs_service.app.cli")
     with contextlib.redirect_stdout(io.StringIO()) as said, contextlib.redirect_stderr(said):
         code = module.main(list(words))

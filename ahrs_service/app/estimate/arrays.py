@@ -1,4 +1,4 @@
-"""Arrays in, attitude out: `ahrs_service.estimate`, and what the command of that name runs."""
+"""Arrays in, attitude out: `ahrs_service.estimate`, which the command of that name also uses."""
 
 import dataclasses
 import math
@@ -40,13 +40,13 @@ _NAMES: Final = {
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Attitude:
-    """What `estimate` found, one row per sample.
+    """The result of `estimate`, one row per sample.
 
-    `t` [N] s since the first sample; `quat` [N, 4] wxyz without the magnetometer, its heading 0 at
+    `t` [N] s since the first sample; `quat` [N, 4] wxyz without the magnetometer, heading 0 at
     the start; `sigma_deg` [N, 3] 1-sigma of its error about the earth's axes [deg]; `gate` [N] why
-    the accelerometer was not taken for the vertical (records.Gate), 0 if it was; `quat9` [N, 4]
-    with the magnetometer, None where there is none; `profile` how the vehicle was taken to move;
-    `doubts` what in the arrays looks like other units or axes.
+    the accelerometer was not used as the vertical (records.Gate), 0 if it was; `quat9` [N, 4]
+    with the magnetometer, None where there is none; `profile` the vehicle profile used;
+    `doubts` warnings about arrays that look like other units or axes.
 
     >>> import numpy as np
     >>> from ahrs_service import estimate
@@ -77,7 +77,7 @@ class Attitude:
     def columns(self) -> dict[str, npt.NDArray[Any]]:
         """Return all as columns [N], with roll, pitch and yaw of `quat`, as a DataFrame takes it.
 
-        The angles are those of `quat` as it is, so for frame "flu" of axes with z up.
+        The angles are those of `quat` itself, so for frame "flu" they refer to axes with z up.
         """
         columns: dict[str, npt.NDArray[Any]] = {"t": self.t}
         axes = {"quat": "wxyz", "quat9": "wxyz", "sigma_deg": "xyz"}
@@ -111,14 +111,14 @@ def estimate(
     """Estimate the attitude from arrays of samples.
 
     `gyr` [N, 3] rad/s, `acc` [N, 3] m/s^2 (specific force), and `rate_hz` or the times `t` [N] s.
-    What else there is: `mag` [N, 3] uT, `airspeed` [N] m/s, `velocity_ned` [N, 3] m/s, the sensor's
+    Optional: `mag` [N, 3] uT, `airspeed` [N] m/s, `velocity_ned` [N, 3] m/s, the sensor's
     `temperature_degc` [N]; NaN where there is no value. `frame` "frd": axes forward, right, down
-    (level at rest: z = -9.81), `quat` turns them into north, east, down. "flu": forward, left, up
-    (z = +9.81), `quat` into axes with z up, `quat9` into east, north, up.
+    (level at rest: z = -9.81), `quat` rotates them to north, east, down. "flu": forward, left, up
+    (z = +9.81), `quat` to axes with z up, `quat9` to east, north, up.
 
     `profile` is how the vehicle moves ("fixed_wing", "multirotor", "hand_held", or a .toml file);
-    without one the motion itself shows it. `settings` and `calibration` may be files. With
-    `offline` what came later corrects what was before. InvalidValueError names the array that
+    without one it is recognised from the motion. `settings` and `calibration` may be files. With
+    `offline` the attitude is smoothed with later samples. InvalidValueError names the array that
     cannot be used, ConfigError the setting.
 
     >>> import numpy as np
@@ -164,7 +164,7 @@ def _layers(
         return lambda name: config_file.load(settings, profile=name)
     if profile is not None:
         raise InvalidValueError(
-            f"profile = {profile!r} and settings: give settings as a file to lay them over a "
+            f"profile = {profile!r} and settings: give settings as a file to apply on top of a "
             "profile, or set settings.fusion.airframe"
         )
 
@@ -185,7 +185,7 @@ def attitude_of(
     offline: bool = False,
     calibration: Calibration | None = None,
 ) -> Attitude:
-    """Estimate the attitude of `columns` [N]; without a profile the motion shows which.
+    """Estimate the attitude of `columns` [N]; without a profile recognise it from the motion.
 
     `settings_with` returns the settings with a profile below them.
     """
@@ -249,7 +249,7 @@ def _run_smoothed(
     frame: str,
     magnetometer: bool,
 ) -> Iterator[tuple[slice, Rows]]:
-    """Run once over all samples and back; yield all estimates in one piece."""
+    """Run forward and backward over all samples; yield all estimates in one piece."""
     smoother, estimates = Smoother(), empty(ESTIMATE_DTYPE, len(columns.time_ns))
     for part, rows in _run(columns, settings, calibration, frame, magnetometer, smoother):
         estimates[part] = rows
@@ -258,7 +258,7 @@ def _run_smoothed(
 
 
 def _in_frame(ned_from_body: Floats, frame: str, earth: Floats) -> Floats:
-    """Attitudes [N, 4] in the frame asked for, by the rotation `earth` [4] from north-east-down."""
+    """Attitudes [N, 4] in the requested frame, by the rotation `earth` [4] from north-east-down."""
     if frame == "frd":
         return ned_from_body
     rotated = multiply_columns(multiply_columns(earth, ned_from_body), _FRD_FROM_FLU)

@@ -1,21 +1,21 @@
 """Attitude of plain arrays: sensor samples in an .npz in, quaternions in an .npz out.
 
 IN holds imu_gyr [N, 3] rad/s, imu_acc [N, 3] m/s^2 (specific force), and sampling_rate [Hz] or
-t [N] s, or both (then t holds). It may hold imu_mag [N, 3] uT, airspeed [N] m/s, vel_ned [N, 3]
+t [N] s, or both (then t is used). It may hold imu_mag [N, 3] uT, airspeed [N] m/s, vel_ned [N, 3]
 m/s (or [N, 2], north and east) and imu_degc [N], the sensor's temperature in degC, NaN where there
-is none; a speed may also be held until the next comes, or be 0 where there is none. Other fields
-are not looked at. With --calibration the raw output of the sensor is compensated first, in axes
+is none; a speed may also be held until the next value, or be 0 where there is none. Other fields
+are ignored. With --calibration the raw output of the sensor is compensated first, in axes
 forward, right, down.
 
-OUT holds one row per sample: quat [N, 4] wxyz without the magnetometer, its heading 0 at the
+OUT holds one row per sample: quat [N, 4] wxyz without the magnetometer, heading 0 at the
 start; quat9 [N, 4] with it, where there is imu_mag; sigma_deg [N, 3] 1-sigma of quat's error
-about the earth's axes; gate [N] why the accelerometer was not taken for the vertical, 0 if it was.
-Without --profile it is the one that force and rate of the whole recording show (app.recognition).
-With --offline all rows but gate are smoothed: what came later corrects what was before.
+about the earth's axes; gate [N] why the accelerometer was not used as the vertical, 0 if it was.
+Without --profile it is recognised from the motion in the whole recording (estimate.recognition).
+With --offline all rows but gate are smoothed: later samples also correct earlier attitudes.
 
---frame frd: sensor axes forward, right, down (level at rest: z = -9.81); quat turns them into
-north, east, down. --frame flu: forward, left, up (level at rest: z = +9.81); quat turns them into
-axes with z up and x along the heading 0, quat9 into east, north (magnetic, or true by
+--frame frd: sensor axes forward, right, down (level at rest: z = -9.81); quat rotates them to
+north, east, down. --frame flu: forward, left, up (level at rest: z = +9.81); quat rotates them to
+axes with z up and x along heading 0, quat9 to east, north (magnetic, or true by
 fusion.declination_deg), up.
 """
 
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="OUT.npz")
     parser.add_argument("--frame", choices=["frd", "flu"], default="frd", help="default: frd")
     parser.add_argument(
-        "--offline", action="store_true", help="smooth: not causal, for reference-grade attitude"
+        "--offline", action="store_true", help="smooth: non-causal, for reference-grade attitude"
     )
     options.add_settings(parser)
     options.add_calibration(parser)
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     """Estimate the attitude of one file; return the exit code."""
     settings = options.settings_of(args)
     if args.out.exists() and args.source.exists() and args.out.samefile(args.source):
-        raise RecordingError(f"{args.out}: is the input itself; give --out another file")
+        raise RecordingError(f"{args.out}: is the input file; give another file as --out")
     shelf = CalibrationStore(options.sensor_of(args, settings.sensor))
     choice, console = shelf.choose(""), Console(stderr=True)
     if choice is None and shelf.is_folder:
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     out = attitude.arrays()
     _write(args.out, out)
     if args.profile is None and settings.fusion.airframe == "auto":
-        said = f"taken for {attitude.profile} by its motion; --profile says it"
+        said = f"recognised as {attitude.profile} from its motion; set it with --profile"
         console.print(said, highlight=False)
     for doubt in attitude.doubts:
         console.print(escape(f"{args.source}: {doubt}"), highlight=False, soft_wrap=True)
@@ -90,5 +90,5 @@ def _write(path: Path, out: dict[str, Any]) -> None:
             np.savez(file, **out)
     except OSError as error:
         raise RecordingError(
-            f"{path}: cannot be written: {error.strerror or error}; give a place that can be"
+            f"{path}: cannot be written: {error.strerror or error}; give a writable path"
         ) from None

@@ -1,16 +1,16 @@
-"""Which profile plain arrays ask for, by how force and rate go together, where nothing says it.
+"""Recognise the vehicle profile of plain arrays from the correlation of force and rate.
 
-By means of the specific force f and the rate w in body axes:
+From means of the specific force f and the rate w in body axes:
 
-- a fixed wing flies along its nose with a speed V, so what pulls it round shows as force:
+- a fixed wing flies along its nose at a speed V, so its centripetal acceleration is measured:
   -f_z = g + V w_y, a line whose slope is V;
-- a multirotor's force is its thrust, which stays along one axis of the body however it tilts, and
+- a multirotor's force is its thrust, which stays along one body axis at any tilt, and
   changes along it;
-- what is held shows gravity, which goes anywhere as it is turned, and is pushed to all sides.
+- a hand-held sensor measures gravity, in any direction, and is accelerated in any direction.
 
-In ../shared fixed wings show V of 6.6 to 16 m/s with a correlation of 0.76 to 0.93, all else less
+In ../shared fixed wings have V of 6.6 to 16 m/s with a correlation of 0.76 to 0.93, all else less
 than 1.2 m/s or 0.2; the force of multirotors stays within 12 deg of its mean for nine tenths of the
-time, that of what is turned by hand within 23 to 134. What is held upright is within 6 to 8, but
+time, that of sensors rotated by hand within 23 to 134. A sensor held upright is within 6 to 8, but
 changes across as much as along, 1.1 to 1.7 times, where thrust does 0.17 to 0.50 times
 (tests/benchmarks/recognition.py).
 """
@@ -29,20 +29,20 @@ SLOWEST_FLIGHT_M_S: Final = 3.0
 FASTEST_FLIGHT_M_S: Final = 60.0
 FLOWN_LIKENESS: Final = 0.5
 LEAST_RATE_RAD_S: Final = 0.03
-"""With less there is no motion to go by, but drift with temperature on the ground [rad/s]."""
+"""Below this there is no usable motion, only drift with temperature on the ground [rad/s]."""
 THRUST_WITHIN_RAD: Final = math.radians(17.0)
 THRUST_SHARE: Final = 0.9
 THRUST_SIDEWAYS: Final = 0.74
-"""Half-way between thrust and hand, by ratio."""
+"""Geometric mean between thrust and hand."""
 MEANS_NS: Final = 200_000_000
 SLOW_MEANS: Final = 10
-"""Faster than 2 s a hand pushes; slower, tilt and drag change a force sideways too."""
+"""A hand accelerates over less than 2 s; over longer, tilt and drag change a force sideways."""
 PUSHED_M_S2: Final = 0.1
-"""What changes by less is noise, which has no axis."""
+"""Smaller changes are noise, which has no axis."""
 FALLING_M_S2: Final = 0.5 * STANDARD_GRAVITY_M_S2
-"""A force smaller than this points nowhere."""
+"""A smaller force has no usable direction."""
 LEAST_S: Final = 20
-"""In less time nothing is told."""
+"""In less time nothing is recognised."""
 
 
 Recognised = Literal["fixed_wing", "multirotor", "hand_held"]
@@ -50,7 +50,7 @@ Recognised = Literal["fixed_wing", "multirotor", "hand_held"]
 
 @dataclass(frozen=True, slots=True)
 class Signs:
-    """What samples show.
+    """Features of the samples.
 
     The speed along the nose [m/s], how well its line fits (a correlation), within which angle of
     its mean the force stays for nine tenths of the time [rad], and how many times as much it
@@ -64,7 +64,7 @@ class Signs:
 
 
 def profile_of(signs: Signs) -> Recognised:
-    """Return the name of the profile for what was shown."""
+    """Return the name of the profile for these features."""
     flies = SLOWEST_FLIGHT_M_S < signs.speed_m_s < FASTEST_FLIGHT_M_S
     if flies and signs.likeness > FLOWN_LIKENESS:
         return "fixed_wing"
@@ -73,7 +73,7 @@ def profile_of(signs: Signs) -> Recognised:
 
 
 def signs_of(columns: Columns, frame: str) -> Signs:
-    """Return what all samples together show; nothing if they are too few."""
+    """Return the features of all samples together; none if they are too few."""
     samples = columns.samples(0, len(columns.time_ns), frame, magnetometer=False)
     gyro, accel = samples["gyro_rad_s"], samples["accel_m_s2"]
     known = np.isfinite(gyro).all(axis=1) & np.isfinite(accel).all(axis=1)
@@ -95,7 +95,7 @@ def _means(span: Integers, values: Floats) -> Floats:
 
 
 def _line(x: Floats, y: Floats) -> tuple[float, float]:
-    """Slope of y [M] over x [M] and their correlation; 0 where one of them stands still."""
+    """Slope of y [M] over x [M] and their correlation; 0 where one of them is constant."""
     x, y = x - x.mean(), y - y.mean()
     xx, xy, yy = float(x @ x), float(x @ y), float(y @ y)
     return (xy / xx, xy / math.sqrt(xx * yy)) if xx > 0.0 and yy > 0.0 else (0.0, 0.0)

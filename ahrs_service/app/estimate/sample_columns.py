@@ -1,8 +1,8 @@
 """Samples as plain arrays: the fields of an .npz, checked, as the estimator takes them.
 
-What stands for "no value" in one field or another is taken for that: NaN anywhere, a speed of
-exactly 0, a speed up and down that is 0 throughout, an airspeed that has stood still. What looks
-like another unit or other axes is told, not mended.
+Every common marker of "no value" is read as such: NaN anywhere, a speed of
+exactly 0, a vertical speed that is 0 throughout, an airspeed that stays constant. Data that looks
+like another unit or other axes is reported, not corrected.
 """
 
 import math
@@ -23,14 +23,14 @@ _FASTEST_HZ: Final = 1e6
 _LONGEST_S: Final = 1e9
 _SLOWEST_STEP_S: Final = 1.0
 _BEGIN_NS: Final = 1_000_000_000_000
-"""Time of the first sample: in the estimator's state 0 stands for what never came."""
+"""Time of the first sample: in the estimator's state 0 means "never received"."""
 _STANDS_STILL_S: Final = 3.0
-"""A pitot tube trembles: one that shows the same number for longer is held, not measured."""
+"""A pitot tube is noisy: a value that stays the same for longer is held, not measured."""
 _ACCEL_MEDIAN_M_S2: Final = 4.0, 25.0
 _FIELD_MEDIAN_UT: Final = 15.0, 100.0
-"""What the lengths of force and field are over most of a recording, in flight or by hand."""
+"""Usual norms of force and field over most of a recording, in flight or by hand."""
 _GYRO_FAST_RAD_S: Final = 20.0
-"""1100 deg/s: what is turned faster for more than a moment is given in deg/s."""
+"""1100 deg/s: a faster rate for more than a moment must be in deg/s."""
 _UNITS: Final = {
     "imu_gyr": "rad/s",
     "imu_acc": "m/s^2",
@@ -146,7 +146,7 @@ def doubts(columns: Columns, frame: str) -> list[str]:
     rates = rates[np.isfinite(rates)]
     if len(rates) and (fast := float(np.quantile(rates, 0.99))) > _GYRO_FAST_RAD_S:
         found.append(
-            f"imu_gyr reaches {fast:.3g} in one sample of a hundred, which nothing turns by in "
+            f"imu_gyr reaches {fast:.3g} in one sample of a hundred, faster than any vehicle in "
             "rad/s; give rad/s, not deg/s"
         )
     down = np.asarray(columns.accel_m_s2[:, 2], np.float64) * (-1.0 if frame == "flu" else 1.0)
@@ -154,14 +154,14 @@ def doubts(columns: Columns, frame: str) -> list[str]:
     if len(down) and np.median(down) > 0.5 * STANDARD_GRAVITY_M_S2:
         other = "frd" if frame == "flu" else "flu"
         found.append(
-            f"imu_acc's z says upside down for most of the time with --frame {frame}; "
+            f"imu_acc's z means upside down for most of the time with --frame {frame}; "
             f"if it was not, give --frame {other}"
         )
     return found
 
 
 def _measured_airspeed(airspeed: Any, time_ns: Integers) -> Floats:
-    """Airspeeds [N], NaN where there is none: at 0, and when the number stands still too long."""
+    """Airspeeds [N], NaN where there is none: at 0, and when the value stays constant too long."""
     values = np.where(airspeed == 0.0, np.nan, airspeed.astype(np.float64))
     (places,) = np.nonzero(np.isfinite(values))
     if len(places):
@@ -195,7 +195,7 @@ def _read_fields(path: Path) -> dict[str, Any]:
         raise RecordingError(f"{path}: cannot be read: {reason}; give an .npz file") from None
     except _NOT_AN_NPZ as error:
         raise RecordingError(
-            f"{path}: is no whole .npz of plain numbers ({error}); write it with numpy.savez"
+            f"{path}: is not a complete .npz of plain numbers ({error}); write it with numpy.savez"
         ) from None
 
 
@@ -215,7 +215,7 @@ def _checked(names: Mapping[str, str], field: str, array: Any, count: int) -> An
 
 
 def _time_ns(names: Mapping[str, str], t: Any, rate: Any, count: int) -> Integers:
-    """Times [N] [ns] after a constant; a missing stamp is put between its neighbours."""
+    """Times [N] [ns] after a constant; a missing stamp is interpolated."""
     if t is None:
         step_ns = 1e9 / _rate_hz(names["sampling_rate"], rate)
         return _BEGIN_NS + np.rint(np.arange(count) * step_ns).astype(np.int64)
@@ -242,7 +242,7 @@ def _time_ns(names: Mapping[str, str], t: Any, rate: Any, count: int) -> Integer
 def _rate_hz(name: str, rate: Any) -> float:
     if rate is None:
         raise InvalidValueError(
-            f"neither {name} nor t is there; give {name} in Hz, or t [N] in seconds"
+            f"neither {name} nor t is given; give {name} in Hz, or t [N] in seconds"
         )
     value = float(rate.item()) if rate.size == 1 and rate.dtype.kind in "fiu" else math.nan
     if not 0.0 < value <= _FASTEST_HZ:

@@ -1,4 +1,4 @@
-"""Which calibration is used: a file as given, or the one of this unit from a folder."""
+"""Which calibration is used: a given file, or the one of this unit from a folder."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +10,7 @@ from ahrs_service.sensor.parameters import Calibration
 from ahrs_service.settings import SensorSettings
 
 NONE: Final = "none"
-"""In place of a file: no calibration, not even that of a recording."""
+"""Given in place of a file: no calibration, not even that of a recording."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +21,7 @@ class Choice:
     calibration: Calibration
 
     def text(self) -> str:
-        """Say which one is used, and for which temperatures it holds."""
+        """Describe which one is used, and for which temperatures it is valid."""
         known = self.calibration
         parts = [f"serial {known.serial or 'not known'}"]
         if known.provenance.date:
@@ -37,9 +37,9 @@ class Choice:
 class CalibrationStore:
     """The calibrations that the settings offer.
 
-    To make one raises ConfigError for a path that cannot be read, and, where the settings name a
-    file, for a file that is wrong or must not be used. `notes` tell which files of a folder were
-    passed over, and why.
+    The constructor raises ConfigError for a path that cannot be read and, where the settings name a
+    file, for a file that is invalid or must not be used. `notes` list which files of a folder were
+    skipped, and why.
     """
 
     def __init__(self, settings: SensorSettings) -> None:
@@ -63,7 +63,7 @@ class CalibrationStore:
             why = "; ".join(verdict.sentences) or "it gives no reason"
             raise ConfigError(
                 f"{path}: its verdict is not to use it: {why}; calibrate again, "
-                "or use it all the same by --force-calibration"
+                "or use it anyway with --force-calibration"
             )
         return choice
 
@@ -72,7 +72,7 @@ class CalibrationStore:
             try:
                 self._choices.append(self._checked(path))
             except ConfigError as error:
-                self.notes.append(f"passed over: {error}")
+                self.notes.append(f"skipped: {error}")
         if not self._choices and not self.notes:
             raise ConfigError(
                 f"{self._path}: holds no {calibration_file.SUFFIX} file; give a calibration file, "
@@ -83,8 +83,8 @@ class CalibrationStore:
         """Return the calibration of `unit` (its number, "" if unknown), None if there is none.
 
         A file that the settings name is used for any unit. In a folder the unit is known by
-        `sensor.unit`, else by the number that the autopilot tells; of several calibrations of one
-        unit the newest counts.
+        `sensor.unit`, else by the number that the autopilot reports; of several calibrations of one
+        unit the newest is used.
         """
         if not self.is_folder:
             return self._choices[0] if self._choices else None
@@ -97,7 +97,7 @@ class CalibrationStore:
         return max(same, key=lambda one: one.calibration.provenance.date, default=None)
 
     def refusal(self, unit: str) -> str:
-        """Say why a folder has no calibration for `unit`, and what to do."""
+        """Explain why a folder has no calibration for `unit`, and what to do."""
         name = self._settings.unit or unit
         wanted = f"unit {name}" if name else "a unit whose number is not known"
         serials = ", ".join(
@@ -109,11 +109,11 @@ class CalibrationStore:
         )
 
     def mismatch(self, unit: str) -> str:
-        """Warn that a file named by the settings is of another unit than `unit`; else ""."""
+        """Warn if a file named by the settings is of another unit than `unit`; else ""."""
         choice = None if self.is_folder else self.choose(unit)
         if choice is None or not unit or choice.calibration.uid.lower() in ("", unit.lower()):
             return ""
         return (
             f"{choice.path} is the calibration of unit {choice.calibration.uid}, "
-            f"but the autopilot is unit {unit}: its errors may be made worse"
+            f"but the autopilot is unit {unit}: it may increase the errors"
         )

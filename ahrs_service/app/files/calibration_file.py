@@ -1,6 +1,6 @@
-"""Calibrations as TOML files, one per unit: read with pydantic, written whole or not at all.
+"""Calibrations as TOML files, one per unit: read with pydantic, written atomically.
 
-A round trip is exact: numbers are written with all their digits. What a file leaves out is zero.
+A round trip is exact: numbers are written with all their digits. Omitted values are zero.
 """
 
 import dataclasses
@@ -43,17 +43,17 @@ def to_json(calibration: Calibration) -> bytes:
 
 
 def to_toml(calibration: Calibration) -> str:
-    """Return the text of a calibration's file; what is zero is left out."""
+    """Return the text of a calibration's file; zero values are left out."""
     return toml_file.text_of(_changed(calibration))
 
 
 def save(path: str | Path, calibration: Calibration) -> None:
-    """Write a calibration so that no reader ever finds half a file; ConfigError if it cannot be."""
+    """Write a calibration file atomically; ConfigError if it cannot be written."""
     toml_file.write_whole(Path(path), to_toml(calibration).encode())
 
 
 def _changed(value: Any) -> Any:
-    """Return dataclasses as tables that leave out what is as by default."""
+    """Return dataclasses as tables without the default values."""
     if isinstance(value, Mapping):
         return dict(value)
     if isinstance(value, tuple):

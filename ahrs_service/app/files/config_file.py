@@ -1,7 +1,7 @@
 """Settings in layers, each above the one before: defaults, profile, TOML file, command line.
 
-They are checked by pydantic. What a layer says of a limit of the gate, be it the limit itself or a
-budget, holds in place of what the layers below say of that limit.
+They are checked by pydantic. Where a layer sets a limit of the gate, by the limit itself or by a
+budget, this replaces what the layers below set for that limit.
 """
 
 import dataclasses
@@ -53,7 +53,7 @@ def load(
 
 
 def _read_profile(profile: str) -> tuple[Path, dict[str, Any]]:
-    """Read a profile and check it alone, so that an error in it names its file."""
+    """Read a profile and check it alone, for errors that name its file."""
     file = profiles.file_of(profile)
     if file is None:
         raise ConfigError(
@@ -66,7 +66,7 @@ def _read_profile(profile: str) -> tuple[Path, dict[str, Any]]:
 
 
 def _lay_over(document: dict[str, Any], upper: dict[str, Any]) -> None:
-    """Put the keys of `upper` in place of those of `document`."""
+    """Replace the keys of `document` by those of `upper`."""
     sections = {name: part for name, part in upper.items() if isinstance(part, dict)}
     _give_way(document, ((name, key) for name, part in sections.items() for key in part))
     for name, part in upper.items():
@@ -98,7 +98,7 @@ def from_document(document: dict[str, Any], origin: str) -> Settings:
 
 
 def to_json(settings: Settings) -> bytes:
-    """Return the effective settings as JSON, as recordings carry them; the key stays out."""
+    """Return the effective settings as JSON, as recordings carry them, without the key."""
     document = dataclasses.asdict(settings)
     document["link"]["signing_key"] = ""
     return json.dumps(document, sort_keys=True, separators=(",", ":")).encode()

@@ -1,4 +1,4 @@
-"""Which fields a dataclass has at a place inside it, for messages that name those there are."""
+"""The fields that a dataclass has at a location inside it, for messages that list them."""
 
 import dataclasses
 import types
@@ -10,7 +10,7 @@ def fields_at(kind: Any, location: Iterable[int | str]) -> list[str]:
     """Return the names of the fields of the dataclass at `location` in `kind`.
 
     A location is that of a validation error: names of fields, numbers in lists. Empty where the
-    place is no dataclass.
+    location is no dataclass.
     """
     places = [kind]
     for part in location:
@@ -23,7 +23,7 @@ def fields_at(kind: Any, location: Iterable[int | str]) -> list[str]:
 
 
 def _inside(place: Any, part: int | str) -> list[Any]:
-    """Return what types stand at `part` of a type: a field's, or the items' of a list."""
+    """Return the types at `part` of a type: a field's, or the items' of a list."""
     found: list[Any] = []
     for one in _plain(place):
         if dataclasses.is_dataclass(one):

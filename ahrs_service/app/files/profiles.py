@@ -1,7 +1,7 @@
-"""The profiles of configs/airframes: which file a name stands for, here and as installed.
+"""The profiles of configs/airframes: the file of each name, in the source tree and as installed.
 
-The folder is the package's own, `ahrs_service/configs` (in the source tree a link to configs/), so
-that no other folder of that name, in the working directory say, is taken for it.
+The folder is the package's, `ahrs_service/configs` (in the source tree a link to configs/), never
+another folder of that name, for example in the working directory.
 """
 
 from pathlib import Path

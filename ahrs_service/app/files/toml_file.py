@@ -1,6 +1,6 @@
-"""TOML and JSON files as frozen dataclasses: one reader, one check, one way to write them.
+"""TOML and JSON files as frozen dataclasses: one reader, one check, one writer.
 
-What is wrong is said in one form: `file: field = value: what to do`, a line for each.
+Every error has one form: `file: field = value: what to do`, a line for each.
 """
 
 import functools
@@ -23,7 +23,7 @@ _LONGEST_VALUE: Final = 100
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Read a TOML file; ConfigError says why it cannot be."""
+    """Read a TOML file; ConfigError gives the reason where it cannot be read."""
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
@@ -68,7 +68,7 @@ def validate(document: Mapping[str, Any], kind: type[_T], origin: str) -> _T:
     return checked
 
 
-# To build one takes longer than to read most files.
+# Building one takes longer than reading most files.
 @functools.cache
 def _adapter(kind: Any) -> TypeAdapter[Any]:
     return TypeAdapter(kind)
@@ -98,15 +98,15 @@ def _shown(value: Any) -> str:
 
 
 def write(path: Path, document: Mapping[str, Any], heading: str = "") -> None:
-    """Write a document; `heading` stands first as comments. ConfigError where it cannot be."""
+    """Write a document, `heading` first as comments; ConfigError where it cannot be written."""
     comments = "".join(f"# {line}\n" for line in heading.splitlines())
     write_whole(path, (comments + text_of(document)).encode())
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Put `content` in the place of what `path` holds; ConfigError where that cannot be.
+    """Replace the content of `path` by `content`; ConfigError where that fails.
 
-    It is written beside `path`, forced to the disk, and then put in its place, so that no reader
+    It is written next to `path`, synced to the disk and then renamed: no reader
     ever finds half a file.
     """
     try:
@@ -116,7 +116,7 @@ def write_whole(path: Path, content: bytes) -> None:
                 file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
-            # A temporary file is its owner's alone; a calibration is read by the daemon's user.
+            # A temporary file is private to its owner; a calibration is read by the daemon's user.
             Path(name).chmod(0o644)
             os.replace(name, path)
         except BaseException:
@@ -125,12 +125,12 @@ def write_whole(path: Path, content: bytes) -> None:
         _sync_folder(path.parent)
     except OSError as error:
         raise ConfigError(
-            f"{path}: cannot be written: {error.strerror or error}; give a place that can be"
+            f"{path}: cannot be written: {error.strerror or error}; give a writable path"
         ) from None
 
 
 def _sync_folder(folder: Path) -> None:
-    """Force the new name to the disk too."""
+    """Sync the new name to the disk too."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -139,7 +139,7 @@ def _sync_folder(folder: Path) -> None:
 
 
 def text_of(document: Mapping[str, Any]) -> str:
-    """Return nested tables of numbers, texts and lists as TOML; what is None is left out.
+    """Return nested tables of numbers, texts and lists as TOML; None is left out.
 
     Numbers are written with all their digits: a round trip is exact.
     """
@@ -147,7 +147,7 @@ def text_of(document: Mapping[str, Any]) -> str:
 
 
 def _lines(table: Mapping[str, Any], place: tuple[str, ...]) -> Iterator[str]:
-    """Yield the lines of a table: its own values first, as TOML demands, then its tables."""
+    """Yield the lines of a table: its values first, as TOML demands, then its tables."""
     inner = {key: value for key, value in table.items() if _is_table(value)}
     for key, value in table.items():
         if key not in inner and value is not None:
@@ -169,7 +169,7 @@ def _is_table(value: Any) -> bool:
 
 
 def _value(value: Any, rows: bool = False) -> str:
-    """Write a value of TOML; with `rows` long lists one item a line."""
+    """Write a value of TOML; with `rows` long lists have one item per line."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):

@@ -1,4 +1,4 @@
-"""The truth of a recording, NAME.truth.json of ../shared/mismatch, as an oracle takes it."""
+"""The truth of a recording, NAME.truth.json of ../shared/mismatch, as an oracle uses it."""
 
 from pathlib import Path
 from typing import Any, Final
@@ -24,7 +24,7 @@ def read_truth(path: Path) -> dict[str, Any]:
 
 
 def read(path: Path, recorded: Recorded) -> Truth:
-    """Read a truth; RecordingError says what is wrong, or how it does not fit the recording."""
+    """Read a truth; RecordingError says what is wrong, or how it contradicts the recording."""
     content = read_truth(path)
     _check_fit(path, content, recorded)
     effects: list[tuple[Effect, Values]] = []
@@ -50,7 +50,7 @@ def read(path: Path, recorded: Recorded) -> Truth:
 def _effect(name: str, given: dict[str, Any]) -> tuple[Effect, Values]:
     if name not in EFFECTS:
         raise ValueError(f"{name} is not in the catalogue")
-    # Texts beside the numbers say what these mean.
+    # Texts next to the numbers explain them.
     numbers = {key: value for key, value in given.items() if not isinstance(value, str)}
     effect = EFFECTS[name]
     missing = [p.name for p in effect.parameters if p.step and p.name not in numbers]
@@ -65,7 +65,7 @@ def _in_words(given: dict[str, Any]) -> str:
 
 
 def _check_fit(path: Path, content: dict[str, Any], recorded: Recorded) -> None:
-    """Refuse a truth whose length or rate is another recording's."""
+    """Refuse a truth whose length or rate is that of another recording."""
     time_s = recorded.imu_time_s
     here = {
         "seconds": (float(time_s[-1] - time_s[0]), _LENGTH_SHARE),

@@ -16,7 +16,7 @@
     [effects.sigma]                     # 1-sigma of a fit; for people, not used
     per_vibration_variance = [0.004, 0.004, 0.005]
 
-An unknown name, a wrong unit or a value that cannot be is an error that names it.
+An unknown name, a wrong unit or an impossible value is an error that names it.
 """
 
 import dataclasses
@@ -40,7 +40,7 @@ _KEYS: Final = ("id", "units", "sigma")
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class _Document:
-    """The file as it stands; the effects are checked by the catalogue."""
+    """The file as read; the effects are checked by the catalogue."""
 
     __pydantic_config__: ClassVar = {"extra": "forbid"}
     source: str = ""
@@ -107,9 +107,9 @@ def _check_units(effect: Effect, table: Mapping[str, Any], origin: str) -> None:
 def write(
     path: Path, twin: Imu, source: str, sigmas: Mapping[str, Mapping[str, Any]] | None = None
 ) -> None:
-    """Write a twin, whole or not at all; `sigmas` are 1-sigma by effect id and parameter.
+    """Write a twin atomically; `sigmas` are 1-sigma by effect id and parameter.
 
-    ConfigError where it cannot be.
+    ConfigError where it cannot be written.
     """
     document: dict[str, Any] = {"source": source}
     for field in ("calibration", "gyro_noise", "accel_noise", "propeller"):
@@ -132,7 +132,7 @@ def _table(effect: Effect, values: Values, sigma: Mapping[str, Any]) -> dict[str
 
 
 def _without_defaults(part: Any) -> dict[str, Any]:
-    """Return a dataclass as nested tables with only what differs from its defaults."""
+    """Return a dataclass as nested tables of the values that differ from its defaults."""
     table: dict[str, Any] = {}
     for field in dataclasses.fields(part):
         value = getattr(part, field.name)
@@ -146,9 +146,9 @@ def _without_defaults(part: Any) -> dict[str, Any]:
 
 
 def with_effects(twin: Imu, found: Iterable[tuple[Effect, Values]]) -> Imu:
-    """Return the twin with what was found beside its effects.
+    """Return the twin with the effects found added to its own.
 
-    Of an effect that it had already the linear parameters are summed, the others replaced.
+    For an effect that it already had, linear parameters are summed, the others replaced.
     """
     merged = {effect.id: (effect, values) for effect, values in twin.effects}
     for effect, values in found:

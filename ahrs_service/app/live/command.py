@@ -1,7 +1,7 @@
 """Serve attitude on a MAVLink link.
 
-Reads the autopilot's IMU, estimates attitude, sends ATTITUDE back as component 191, and, where
-asked to, records a .tlog and hosts a Rerun stream.
+Reads the autopilot's IMU, estimates attitude, sends ATTITUDE back as component 191 and, on
+request, records a .tlog and hosts a Rerun stream.
 
 Examples:
   ahrs-service run --link udpin:127.0.0.1:14550
@@ -55,9 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"host a Rerun stream on loopback (default port {DEFAULT_VIEWER_PORT})",
     )
     parser.add_argument("--rrd", metavar="FILE", help="also write the Rerun stream to this file")
-    parser.add_argument(
-        "--seconds", type=options.positive, metavar="S", help="end by itself after S seconds"
-    )
+    parser.add_argument("--seconds", type=options.positive, metavar="S", help="end after S seconds")
     parser.add_argument("--quiet", action="store_true", help="log lines only, no live table")
 
 
@@ -86,14 +84,14 @@ def run(arguments: argparse.Namespace) -> int:
     """Serve until SIGINT, SIGTERM or the time is up; return the exit code."""
     settings = settings_from(arguments)
     console = Console()
-    # Before the live table, which would overwrite the word of it.
+    # Before the live table, which would overwrite the progress messages.
     compile_kernels(settings)
     daemon = asyncio.run(
         serve(settings, console, table=not arguments.quiet, seconds=arguments.seconds)
     )
     with contextlib.suppress(SystemExit, OSError):
         console.print(session_table(daemon))
-        # On one line of its own and never folded, for scripts that compare it with a replay's.
+        # On a separate line and never wrapped, for scripts that compare it with a replay's.
         digest = daemon.estimator.digest.hexdigest()
         console.print(f"estimates sha256 {digest}", highlight=False, soft_wrap=True)
     return 0
@@ -119,7 +117,7 @@ async def serve(settings: Settings, console: Console, table: bool, seconds: floa
 
 
 async def _stop_after(daemon: Daemon, seconds: float | None) -> None:
-    """End the session when its time is up; compiling before the start takes none of it."""
+    """End the session when its time is up, not counting compilation before the start."""
     if seconds is not None:
         await daemon.ready.wait()
         await asyncio.sleep(seconds)
@@ -128,7 +126,7 @@ async def _stop_after(daemon: Daemon, seconds: float | None) -> None:
 
 @contextmanager
 def showing(daemon: Daemon, console: Console, table: bool) -> Iterator[None]:
-    """Keep the live table on a terminal; nothing where the output is no terminal."""
+    """Update the live table on a terminal; do nothing where the output is no terminal."""
     if not (table and console.is_terminal):
         yield
         return

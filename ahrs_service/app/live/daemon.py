@@ -2,7 +2,7 @@
 
 A frame that arrives is recorded, estimated and published inside one callback; everything else
 (heartbeat, intervals, health, viewer figures) is done by a slow tick of the same loop, so that a
-stuck loop shows on the link as a missing heartbeat.
+stuck loop is visible on the link as a missing heartbeat.
 """
 
 import asyncio
@@ -52,10 +52,10 @@ Log = Callable[[str, str], None]
 class Daemon:
     """The service on one link; `run` serves until `stop`.
 
-    To make one raises ConfigError for a calibration that cannot or must not be used.
+    The constructor raises ConfigError for a calibration that cannot or must not be used.
     `on_reading` is given every reading [1] and `on_estimate` every estimate [1], views that the
     next one overwrites. `session`, `health`, `latest`, `component`, `calibration`, `decoder` and
-    `link` can be looked at meanwhile;
+    `link` can be read meanwhile;
     `forged_marks` counts frames that were kept out of the recording (links.logs.session_marks).
     """
 
@@ -103,7 +103,7 @@ class Daemon:
         try:
             await self.link.start()
             self._notifier.ready(f"listening on {self.settings.link.uri}")
-            # What start-up made is never garbage; looking through it again would cost latency.
+            # Start-up objects are never garbage; scanning them again would cost latency.
             gc.collect()
             gc.freeze()
             self.ready.set()
@@ -123,7 +123,7 @@ class Daemon:
         if self._signer is not None:
             self._signer.save()
             if self._signer.counts.state_failures:
-                self._say("warning", f"{_signing_file()}: signing stamps cannot be kept there")
+                self._say("warning", f"{_signing_file()}: signing stamps cannot be saved there")
         if viewer.port or viewer.rrd:
             self.observer = Observer(self.settings)
             self._log("info", f"viewer: {self.observer.where}")
@@ -183,7 +183,7 @@ class Daemon:
             self._take_unit()
 
     def _use(self, estimates: Rows, started_s: float) -> None:
-        """Publish one estimate and tell whoever looks."""
+        """Publish one estimate and notify the observers."""
         estimate = estimates[0]
         # Comparing numpy's number with an enum costs more than the filter's step.
         if int(estimate["phase"]) == Phase.RUNNING:
@@ -223,7 +223,7 @@ class Daemon:
     # -- settings that change in flight -------------------------------------------------------
 
     def _take_new_settings(self) -> None:
-        """Put a PARAM_SET that the component accepted into force, and into the recording."""
+        """Apply a PARAM_SET that the component accepted, and record it."""
         settings = self.component.settings
         if settings is self.settings:
             return
@@ -243,10 +243,10 @@ class Daemon:
         if self.calibration is not None:
             self._say("info", self.calibration.text())
         elif self._shelf.is_folder:
-            self._say("info", "calibration: waiting for the autopilot to tell its unit")
+            self._say("info", "calibration: waiting for the autopilot to report its unit")
 
     def _take_unit(self) -> None:
-        """Put the calibration of the unit that the autopilot reported into force."""
+        """Apply the calibration of the unit that the autopilot reported."""
         if self.calibration is None and not self._shelf.is_folder:
             return
         warning, choice = self._shelf.mismatch(self._unit), self._shelf.choose(self._unit)
@@ -291,7 +291,7 @@ class Daemon:
                 await asyncio.wait_for(self._stop.wait(), TICK_S)
 
     def _tick(self, now_s: float) -> None:
-        """Do what is due by time and not by a message."""
+        """Do the work that is due by time, not triggered by a message."""
         for message in self.component.tick(now_s, _MAV_STATE[self.health.state]):
             self.send(message)
         for level, text in self.component.drain_events():
@@ -317,13 +317,13 @@ class Daemon:
             self.observer.figures(rates, self.drops())
 
     def _call(self) -> None:
-        """Let a listener know of us, as a component of the system that we expect there."""
+        """Announce ourselves to a listener, as a component of the system that we expect there."""
         system = self.settings.link.system or self.settings.intake.system or 1
         encoder = Encoder(system, self.settings.link.component, self._signer)
         self.link.send(encoder.pack(self.component.call()))
 
     def drops(self) -> dict[str, int]:
-        """Return everything that was lost so far, by what it was."""
+        """Return the counts of everything lost so far, by kind."""
         counts = self.decoder.counts
         lost = {name: count for name, count in counts.items() if name != "frames"}
         lost["forged_marks"] = self.forged_marks
@@ -348,7 +348,7 @@ def _make_signer(settings: Settings) -> Signer | None:
 
 
 def _signing_file() -> Path:
-    """Return where the signing stamps are kept, so that a restart never uses one twice."""
+    """Return the file of the signing stamps; saved stamps are never reused after a restart."""
     home = os.environ.get("STATE_DIRECTORY") or os.environ.get("XDG_STATE_HOME")
     folder = Path(home) if home else Path.home() / ".local" / "state"
     path = folder / "ahrs-service" / "signing.json"

@@ -1,6 +1,6 @@
 """Fly a simulated aircraft and watch the service work.
 
-A simulated autopilot flies as a process of its own and speaks MAVLink 2 over loopback UDP; the
+A simulated autopilot flies in a separate process and speaks MAVLink 2 over loopback UDP; the
 service estimates attitude from its IMU, sends ATTITUDE back, records a .tlog and an .rrd. At the
 end the recording is replayed: attitude error against the simulator's truth, and the proof that
 live and replay gave the same bytes.
@@ -54,9 +54,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--seconds", type=options.positive, default=60.0, help="length of the flight (default: 60)"
     )
     parser.add_argument(
-        "--scenario", default="flight", help="as simulate --help has them (default: flight)"
+        "--scenario", default="flight", help="one of those in simulate --help (default: flight)"
     )
-    parser.add_argument("--seed", type=int, default=1, help="other seed, other flight (default: 1)")
+    parser.add_argument("--seed", type=int, default=1, help="random seed of flight (default: 1)")
     parser.add_argument(
         "--out",
         type=Path,
@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="for .tlog and .rrd (default: demo_output)",
     )
     parser.add_argument(
-        "--headless", action="store_true", help="open no viewer window, also where a screen is"
+        "--headless", action="store_true", help="open no viewer window, even with a screen"
     )
     options.add_settings(parser, with_file=False)
     options.add_calibration(parser)
@@ -78,11 +78,11 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError(f"--scenario {arguments.scenario}: choose one of {', '.join(SCENARIOS)}")
     settings = options.settings_of(arguments)
     sensor = options.sensor_of(arguments, settings.sensor)
-    # What is wrong with it is reported before a folder is made.
+    # Errors in it are reported before a folder is made.
     CalibrationStore(sensor)
     files = _files(arguments.out)
     settings = _with_places(dataclasses.replace(settings, sensor=sensor), files)
-    # Before the live table, which would overwrite the word of it.
+    # Before the live table, which would overwrite the progress messages.
     compile_kernels(settings)
     try:
         flown = asyncio.run(_fly(settings, arguments, console))
@@ -108,9 +108,7 @@ def _files(out: Path) -> Path:
         except FileExistsError:
             continue
         except OSError as error:
-            raise ConfigError(
-                f"--out {out}: {error.strerror}; give a folder that can be written"
-            ) from None
+            raise ConfigError(f"--out {out}: {error.strerror}; give a writable folder") from None
         return folder
     raise ConfigError(f"--out {out}: too many folders named {name}")
 
@@ -169,7 +167,7 @@ async def _fly(
 async def _simulate(
     arguments: argparse.Namespace, port: str, landed: Callable[[], None]
 ) -> tuple[int | None, str, str]:
-    """Fly the simulator as a process of its own; return its exit code and what it said.
+    """Fly the simulator in a separate process; return its exit code and its error output.
 
     `landed` is called as soon as the flight is over: its process takes a while to end.
     """
@@ -183,7 +181,7 @@ async def _simulate(
     try:
         assert simulator.stdout is not None
         out = await simulator.stdout.readline()
-        # What is still in the socket belongs to the flight.
+        # Data still in the socket belongs to the flight.
         await asyncio.sleep(0.2)
         landed()
         _, errors = await simulator.communicate()
@@ -197,7 +195,7 @@ async def _simulate(
 def _open_viewer(
     daemon: Daemon, headless: bool, log: TerminalLog
 ) -> "subprocess.Popen[bytes] | None":
-    """Open the viewer's window where there is a screen, else say how to attach one."""
+    """Open the viewer's window where there is a screen, else print how to attach one."""
     uri = f"rerun+http://{_HOST}:{daemon.settings.viewer.port}/proxy"
     screen = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
     if headless or not (screen or sys.platform == "darwin"):
@@ -221,7 +219,7 @@ def _verdict(
     result: ReplayResult,
     files: Path,
 ) -> int:
-    """Say what the autopilot got, whether live equals replay, and where the files are."""
+    """Report what the autopilot received, whether live equals replay, and where the files are."""
     table = Table(show_header=False)
     table.add_column(style="bold")
     table.add_column(overflow="fold")
@@ -229,7 +227,7 @@ def _verdict(
     table.add_row(
         "autopilot got",
         ", ".join(f"{n} {name}" for name, n in received.items())
-        or "[bold red]no attitude[/]; give it longer (--seconds)",
+        or "[bold red]no attitude[/]; fly longer (--seconds)",
     )
     equal = daemon.estimator.digest.hexdigest() == result.summary.digest
     count = len(result.estimates)

@@ -25,7 +25,7 @@ _LEVELS: Final = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
 class Observer:
     """Feeds the viewer; every call is cheap and none can block or raise.
 
-    To make one raises ConfigError where the port is taken or the file cannot be written.
+    The constructor raises ConfigError where the port is in use or the file cannot be written.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -61,11 +61,11 @@ class Observer:
         return self._viewer.dropped
 
     def estimate(self, estimates: Rows, readings: Rows | None = None) -> None:
-        """Show our estimate [1], beside it the reading [1] that it came of."""
+        """Show our estimate [1] together with the reading [1] that it was made from."""
         self._viewer.estimate(estimates, readings)
 
     def message(self, message: Any) -> None:
-        """Show what a message of the vehicle tells beside the IMU samples."""
+        """Show what a message of the vehicle reports besides the IMU samples."""
         name = message.get_type()
         if name in self._sources:
             self._sources[name](message)
@@ -92,7 +92,7 @@ class Observer:
         self._viewer.gate = in_force(settings)
 
     def figures(self, rates_hz: Mapping[str, float], drops: Mapping[str, int]) -> None:
-        """Show rates and what was lost, as of now."""
+        """Show the current rates and losses."""
         self._viewer.rates(rates_hz)
         self._viewer.drops(drops)
 
@@ -101,7 +101,7 @@ class Observer:
         self._viewer.log(_LEVELS[level], text)
 
     def close(self) -> None:
-        """Send what waits and leave the file whole."""
+        """Send what is pending and leave the file complete."""
         self._viewer.close()
 
 

@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=positive_or_inf,
         default=1.0,
         metavar="FACTOR",
-        help="faster than real time; inf: as fast as it goes",
+        help="speed over real time; inf: as fast as possible",
     )
     parser.add_argument(
         "--max-gap",
@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SECONDS",
         help="longer gaps of the recording are shortened to this",
     )
-    parser.add_argument("--loop", action="store_true", help="begin again at the end, for ever")
+    parser.add_argument("--loop", action="store_true", help="start again at the end, without end")
 
 
 @contextmanager
@@ -69,7 +69,7 @@ def _progress(console: Console, name: str, frames: int) -> Iterator[Callable[[in
 
 
 async def _serve(args: argparse.Namespace, log: TlogFile, console: Console) -> PlayCounts:
-    """Open the link, wait until someone is there, and play."""
+    """Open the link, wait until there is a listener, and play."""
     up = asyncio.Event()
 
     def on_state(state: LinkState, why: str) -> None:

@@ -108,7 +108,7 @@ def _latency(daemon: Daemon) -> str:
 
 
 def live_table(daemon: Daemon) -> Panel:
-    """Return the table of this moment."""
+    """Return the table as of now."""
     state = daemon.health.state
     title = Text("ahrs-service  ")
     title.append(state.value, style=_HEALTH.get(state, "bold red"))
@@ -144,7 +144,7 @@ def session_table(daemon: Daemon) -> Table:
     if daemon.calibration is not None:
         table.add_row("calibration", daemon.calibration.text().removeprefix("calibration "))
     rates = [
-        f"{rate.name}: asked {rate.asked_hz:g}, came {rate.mean_hz:.1f} Hz ({rate.state})"
+        f"{rate.name}: requested {rate.asked_hz:g}, received {rate.mean_hz:.1f} Hz ({rate.state})"
         for rate in daemon.component.rates()
     ]
     table.add_row("rates", "\n".join(rates))

@@ -1,19 +1,19 @@
 """Run recordings through the service: tables, and .rrd, .tlog, .parquet, .csv, .json files.
 
-Reads MAVLink .tlog, PX4 ULog .ulg and ArduPilot DataFlash .bin. Every log gets a table of what it
-holds and of our attitude against its own; several logs get one more table over all. The line
+Reads MAVLink .tlog, PX4 ULog .ulg and ArduPilot DataFlash .bin. Every log gets a table of its
+contents and of our attitude against the log's; several logs get one more table over all. The line
 "estimates sha256" is over the bytes of all estimates: equal to the live session's, it proves that
 the replay is the same to the last bit.
 
 With one log, each OUT is a file. With several, or where OUT is a folder, OUT is a folder, made if
-need be, and each log's file there is named after the log: OUT/flight.ulg.parquet.
+needed, and each log's file there is named after the log: OUT/flight.ulg.parquet.
 
-With --smooth what came later corrects what was before: reference-grade attitude after the flight.
-The tables show both, the files hold the smoothed attitude, the digest is that of the estimates
-before, so that it still can be compared.
+With --smooth later samples also correct earlier attitudes, for reference-grade attitude offline.
+The tables show both, the files hold the smoothed attitude, the digest is that of the causal
+estimates and can still be compared.
 
-A recording made by this service carries its settings; they hold unless --profile,
---config or --set is given. So it does its calibration, which holds unless --calibration is given.
+A recording made by this service carries its settings; they are used unless --profile,
+--config or --set is given. It also carries its calibration, used unless --calibration is given.
 """
 
 import argparse
@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
     console = Console()
     errors = Console(stderr=True, soft_wrap=True, highlight=False)
     if errors.is_terminal:
-        # Its bar and that of a log would overwrite each other.
+        # Its progress bar and that of a log would overwrite each other.
         compile_kernels(settings or Settings())
     outputs = _Outputs({kind: getattr(args, kind) for kind in _OUTPUTS}, len(logs) > 1)
     summaries: list[Summary] = []
@@ -112,12 +112,12 @@ def run(args: argparse.Namespace) -> int:
             where = error.filename or path
             errors.print(
                 f"[bold red]failed:[/] {escape(str(where))}: {error.strerror or error}; "
-                "give a place that can be written"
+                "give a writable path"
             )
             continue
         summaries.append(result.summary)
         console.print(log_table(result.summary))
-        # On one line of its own and never folded, for scripts that compare it.
+        # On a separate line and never wrapped, for scripts that compare it.
         console.print(f"estimates sha256 {result.summary.digest}", highlight=False, soft_wrap=True)
         for file in written:
             console.print(f"wrote {escape(str(file))}", highlight=False, soft_wrap=True)
@@ -129,7 +129,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _logs(paths: list[Path]) -> list[Path]:
-    """Put the logs inside it in the place of each folder."""
+    """Replace each folder by the logs inside it."""
     found: list[Path] = []
     for path in paths:
         if path.is_dir():

@@ -21,7 +21,7 @@ _ROWS: Final = 1 << 16
 def write_parquet(path: Path, estimates: Rows, settings: Settings, summary: Summary) -> None:
     """Write one row per estimate; settings, digest, log and version go into the file's metadata.
 
-    The digest is that of the causal estimates, also where the rows are smoothed.
+    The digest is that of the causal estimates, even where the rows are smoothed.
     """
     metadata = {
         "ahrs_service.version": version("ahrs-service"),

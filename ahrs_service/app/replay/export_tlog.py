@@ -1,4 +1,4 @@
-"""A replay as a .tlog for ground stations: the recording with our ATTITUDE beside it."""
+"""A replay as a .tlog for ground stations: the recording with our ATTITUDE added."""
 
 import heapq
 import math
@@ -37,7 +37,7 @@ def write_tlog(
 ) -> None:
     """Write a .tlog with what the live service would send as `settings.link.component`.
 
-    Of a .tlog every frame is kept as it is, and ours follow the frame whose sample made them. Of
+    Of a .tlog every frame is kept unchanged, and ours follow the frame of their sample. Of
     other logs HEARTBEAT, trim, HIGHRES_IMU and their own attitude are written. `positions`
     [N] gives the reading behind each estimate.
     """
@@ -67,7 +67,7 @@ def _published(
 
 
 def _write_beside(file: BinaryIO, tlog: TlogFile, ours: Iterator[tuple[int, bytes]]) -> None:
-    """Copy the frames of `tlog` and put each of ours behind the frame of its index."""
+    """Copy the frames of `tlog` and insert each of ours after the frame of its index."""
     done = 0
     for index, frame in ours:
         _copy(file, tlog, done, index + 1)
@@ -77,11 +77,11 @@ def _write_beside(file: BinaryIO, tlog: TlogFile, ours: Iterator[tuple[int, byte
 
 
 def _copy(file: BinaryIO, tlog: TlogFile, start: int, stop: int) -> None:
-    """Copy frames start..stop with their stamps; what lies between frames is left out."""
+    """Copy frames start..stop with their stamps; bytes between frames are left out."""
     frames = tlog.frames[start:stop]
     first = frames["offset"] - STAMP_BYTES
     end = frames["offset"] + frames["length"]
-    # A stamp that could not be true was replaced by the reader, so such frames go one by one.
+    # The reader replaced impossible stamps, so such frames are written one by one.
     if len(frames) and not tlog.damaged["bad_stamp"] and (first[1:] == end[:-1]).all():
         file.write(tlog.data[int(first[0]) : int(end[-1])].tobytes())
         return

@@ -33,7 +33,7 @@ class ReplayResult:
     """A recording and what the estimator made of it.
 
     `estimates` [N] ESTIMATE_DTYPE, `positions` [N] the reading behind each; `vehicle` the one
-    adopted; `settings` those in force at the end. Where smoothing was asked for, `estimates` are
+    adopted; `settings` those in effect at the end. Where smoothing was requested, `estimates` are
     the smoothed. `is_calibrated` whether a calibration was in use at the end.
     """
 
@@ -58,12 +58,12 @@ def replay_log(
     sensor: SensorSettings | None = None,
     smooth: bool = False,
 ) -> ReplayResult:
-    """Replay one recording; RecordingError says in a sentence why it cannot be.
+    """Replay one recording; RecordingError gives the reason where it cannot be replayed.
 
-    Without `settings` those that the recording carries hold, else the defaults; without a
-    calibration named by `sensor` (else by `settings`) that which it carries, else none. `advance`
-    is called with what is being done and the share done, 0 to 1. Equal files, settings and
-    calibrations give equal bytes, and the bytes of the live session where the recording is of one.
+    Without `settings` those carried by the recording are used, else the defaults; without a
+    calibration named by `sensor` (else by `settings`) the recorded one, else none. `advance`
+    is called with the current step and the share done, 0 to 1. Equal files, settings and
+    calibrations give equal bytes, the same as the live session's where one was recorded.
     ConfigError where the calibration named cannot or must not be used.
     """
     report = advance or _silent
@@ -79,23 +79,23 @@ def replay_recording(
     smooth: bool = False,
 ) -> ReplayResult:
     """Replay a recording that was read, as `replay_log` does."""
-    told = advance or _silent
+    report_progress = advance or _silent
     calibration, origin = _calibration(recording, settings, sensor)
     marks = _obeyed(recording, settings, calibration)
     smoother = Smoother() if smooth else None
     replay = _Replay(recording, settings, marks, calibration, smoother)
     replay.calibration = origin
     for share in replay.run():
-        told("estimating", share)
+        report_progress("estimating", share)
     estimates, positions = replay.columns()
     if not len(estimates):
         raise RecordingError(_no_sample(recording, replay.settings))
     smoothed = None
     if smoother is not None:
-        told("smoothing", 0.0)
+        report_progress("smoothing", 0.0)
         smoothed = estimates.copy()
         smoother.smooth(smoothed)
-    told("comparing", 0.0)
+    report_progress("comparing", 0.0)
     summary = summarise(
         recording,
         replay.estimator,
@@ -121,10 +121,10 @@ def _silent(stage: str, share: float) -> None:
 def _obeyed(
     recording: Recording, settings: Settings | None, calibration: Calibration | None
 ) -> list[Mark]:
-    """Return the marks that hold: of what was not given by others."""
+    """Return the marks to apply: those that no option replaces."""
     obeyed = {MarkKind.SETTINGS} if settings is None else set()
     obeyed |= {MarkKind.CALIBRATION} if calibration is None else set()
-    # A state goes with the settings and the calibration under which it came to be.
+    # A state is valid only for the settings and the calibration under which it was made.
     obeyed |= {MarkKind.STATE} if len(obeyed) == 2 else set()
     return [mark for mark in recording.marks if mark.kind in obeyed]
 
@@ -132,10 +132,10 @@ def _obeyed(
 def _calibration(
     recording: Recording, settings: Settings | None, sensor: SensorSettings | None
 ) -> tuple[Calibration | None, str]:
-    """Return the calibration that is asked for, and what it is; None where none is."""
+    """Return the requested calibration and its description; None where none is requested."""
     sensor = sensor or (settings or Settings()).sensor
     if sensor.calibration == NONE:
-        return Calibration.ideal(), "none, as asked"
+        return Calibration.ideal(), "none, as requested"
     store = CalibrationStore(sensor)
     intake = intake_of(recording, None if settings is None else settings.intake, "give --config")
     unit = recording.unit_of((intake.system, intake.component))
@@ -149,7 +149,7 @@ def _calibration(
 
 
 class _Replay:
-    """The pass over the readings, in pieces that end at the recording's marks."""
+    """The run over the readings, in pieces that end at the recording's marks."""
 
     def __init__(
         self,
@@ -171,7 +171,7 @@ class _Replay:
         self._count = 0
 
     def run(self) -> Iterator[float]:
-        """Take all readings; yield the share done."""
+        """Process all readings; yield the share done."""
         readings = self._recording.readings
         start = 0
         stops = [(mark.reading, mark) for mark in self._marks]
@@ -193,7 +193,7 @@ class _Replay:
         return self._estimates[: self._count], self._positions[: self._count]
 
     def _obey(self, mark: Mark) -> None:
-        """Do what the live service did here: change settings, or go on from a saved state."""
+        """Do what the live service did here: change settings, or continue from a saved state."""
         if mark.kind == MarkKind.STATE:
             try:
                 self.estimator.restore(mark.data)
@@ -213,7 +213,7 @@ class _Replay:
         self.origin = "those of the recording"
 
     def _calibrate(self, data: bytes) -> None:
-        """Take the calibration that the live service used from here on."""
+        """Use the calibration that the live service used from here on."""
         origin = str(self._recording.path)
         try:
             calibration = calibration_file.from_json(zlib.decompress(data), origin)
@@ -227,7 +227,7 @@ class _Replay:
 
 
 def _no_sample(recording: Recording, settings: Settings) -> str:
-    """Say why no reading became a sample."""
+    """Explain why no reading became a sample."""
     return (
         f"{recording.path}: none of its {len(recording.readings)} readings belongs to an IMU of "
         f"the vehicle looked for (intake.system = {settings.intake.system}, "

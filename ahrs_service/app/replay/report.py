@@ -14,8 +14,8 @@ from ahrs_service.app.replay.summary import Summary
 from ahrs_service.comparison import Comparison, ErrorStatistics, HeadingError
 
 RULES: Final = (
-    "Errors are ours minus the log's own attitude, at its instants, where our filter runs; Euler "
-    "angles beyond 75 deg of pitch left out. Steady flight, by the reference alone: body rate "
+    "Errors are our attitude minus the log's, at its instants, where our filter runs; Euler "
+    "angles beyond 75 deg of pitch left out. Steady flight, from the reference alone: body rate "
     "below 0.15 rad/s, roll and pitch within 25 deg, for at least 2 s."
 )
 _MESSAGES_SHOWN: Final = 12
@@ -41,7 +41,7 @@ def log_table(summary: Summary) -> RenderableType:
 def summary_table(summaries: Iterable[Summary], width: int) -> Table:
     """Return one row per log with roll and pitch errors [deg]; more columns where `width` allows.
 
-    Whole flight: 1-sigma and max; steady flight: 1-sigma; smoothed, where it is: 1-sigma.
+    Whole flight: 1-sigma and max; steady flight: 1-sigma; smoothed, if requested: 1-sigma.
     """
     summaries = list(summaries)
     table = Table(
@@ -155,9 +155,9 @@ def error_table(summary: Summary, found: Comparison, whose: str = "") -> Table:
     lag = ""
     if not math.isnan(found.lag_s):
         order = "later" if found.lag_s >= 0.0 else "earlier"
-        lag = f", shows motions {abs(1e3 * found.lag_s):.0f} ms {order} than ours"
+        lag = f", {abs(1e3 * found.lag_s):.0f} ms {order} than ours"
     caption = (
-        f"{found.compared} instants; {found.out_of_reach} without attitude of ours close "
+        f"{found.compared} instants; {found.out_of_reach} without our attitude close "
         f"by, {found.steep} beyond 75 deg of pitch. {RULES}"
     )
     table = Table(

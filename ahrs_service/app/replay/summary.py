@@ -1,4 +1,4 @@
-"""What a replay found, as plain numbers: for the tables, for JSON, for the fleet."""
+"""Results of a replay as plain numbers: for the tables, for JSON, for the fleet."""
 
 import dataclasses
 import math
@@ -78,7 +78,7 @@ def summarise(
     calibration: str,
     smoothed: Rows | None = None,
 ) -> Summary:
-    """Gather the summary of one replay from its estimates, before and after they were smoothed."""
+    """Compute the summary of one replay from its causal and its smoothed estimates."""
     steps = _steps_s(estimates)
     running = estimates["phase"] == Phase.RUNNING
     source = int(estimator.state["heading_source"][0])
@@ -140,7 +140,7 @@ def _plain(value: Any) -> Any:
 
 
 def _steps_s(estimates: Rows) -> Any:
-    """Time from each sample to the next [s]; what lies between two sessions of a log is none."""
+    """Time from each sample to the next [s], without the gap between two sessions of a log."""
     steps = np.diff(estimates["time_ns"], append=estimates["time_ns"][-1:])
     return np.where((steps > 0) & (steps < _SESSION_STEP_NS), steps, 0) * 1e-9
 
@@ -148,7 +148,7 @@ def _steps_s(estimates: Rows) -> Any:
 def _rate_hz(estimates: Rows) -> float:
     steps = np.diff(estimates["time_ns"])
     steps = steps[(steps > 0) & (steps < _SESSION_STEP_NS)]
-    # The mean over the usual steps: the median of steps of 2.5 and 5 ms would lie.
+    # The mean over the usual steps: the median of steps of 2.5 and 5 ms would be wrong.
     usual = steps[steps < 5 * np.median(steps)] if len(steps) else steps
     return float(1e9 / usual.mean()) if len(usual) else math.nan
 
@@ -218,9 +218,9 @@ def _warnings(
 
 def _low_rate_warning(rate_hz: float) -> str:
     consequence = (
-        "the turns between samples are lost, so the attitude follows the accelerometer alone and "
-        "means nothing in manoeuvres"
+        "rotation between samples is lost, so the attitude follows the accelerometer alone and "
+        "is meaningless in manoeuvres"
         if rate_hz < 5.0
-        else "fast turns between samples are lost, so roll and pitch lag and err in manoeuvres"
+        else "fast rotation between samples is lost, so roll and pitch lag and err in manoeuvres"
     )
     return f"IMU at {rate_hz:.1f} Hz, below {LOW_RATE_HZ:.0f} Hz: {consequence}"

@@ -1,7 +1,7 @@
 """Every setting as a row: section, name, type, unit, value, meaning; read from the dataclasses.
 
-What a setting means is the text below its field in `ahrs_service.settings`, its unit the brackets
-that text ends with; its type and bounds are those that pydantic checks.
+The meaning is the text below the setting's field in `ahrs_service.settings`, the unit the brackets
+at the end of that text; type and bounds are those that pydantic checks.
 """
 
 import ast
@@ -96,7 +96,7 @@ def _value(value: Any) -> str:
 
 
 def _kind(hint: Any) -> str:
-    """Say what a type hint allows: "number > 0", "3 numbers", '"mean" or "instant"'."""
+    """Describe what a type hint allows: "number > 0", "3 numbers", '"mean" or "instant"'."""
     origin, arguments = get_origin(hint), get_args(hint)
     if origin is Annotated:
         return f"{_kind(arguments[0])} {_bounds(arguments[1:])}"

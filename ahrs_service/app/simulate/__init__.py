@@ -1,1 +1,1 @@
-"""Flights that were never flown, on a link or in a file."""
+"""Simulated flights, on a link or in a file."""

@@ -55,7 +55,7 @@ RECORDED_RATES_HZ: Final[Mapping[str, float]] = {
     "VIBRATION": 2.0,
     "BATTERY_STATUS": 2.0,
 }
-"""Messages of a flight written to a file [Hz]: those that the service asks for, and the truth."""
+"""Messages of a flight written to a file [Hz]: those the service requests, and the truth."""
 
 DEFAULT_SECONDS: Final = 60.0
 EXIT_DONE: Final = 0
@@ -70,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, serial:DEV:BAUD",
     )
     where.add_argument(
-        "--tlog", type=Path, metavar="OUT", help="write the flight here instead, at once"
+        "--tlog", type=Path, metavar="OUT", help="write the flight here instead, unpaced"
     )
     about = "; ".join(f"{name}: {scenario.text}" for name, scenario in SCENARIOS.items())
     what = parser.add_mutually_exclusive_group()
@@ -90,13 +90,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--twin",
         type=Path,
         metavar="TWIN.toml",
-        help="the sensor aboard and the effects on it, see configs/twins/; without it the "
-        "scenario's own, along a recording an ideal one",
+        help="the sensor on board and the effects on it, see configs/twins/; without it the "
+        "scenario's sensor; along a recording, an ideal one",
     )
     parser.add_argument(
         "--seconds", type=positive, help="length of a scenario's flight (default: 60)"
     )
-    parser.add_argument("--seed", type=int, default=1, help="other seed, other flight (default: 1)")
+    parser.add_argument("--seed", type=int, default=1, help="random seed of flight (default: 1)")
     parser.add_argument(
         "--rate",
         type=positive,
@@ -113,14 +113,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=not_negative,
         default=50.0,
         metavar="HZ",
-        help="how often RAW_IMU and the SIM_STATE that belongs to it are sent unasked "
-        "(0: never; default: 50)",
+        help="how often RAW_IMU and its SIM_STATE are sent without request (0: never; default: 50)",
     )
     parser.add_argument("--json", action="store_true", help="end with one line of JSON on stdout")
 
 
 def write_tlog(path: Path, flight: Flight, rates_hz: Mapping[str, float]) -> int:
-    """Write a flight as a .tlog, as fast as it goes, and return its number of frames.
+    """Write a flight as a .tlog, as fast as possible, and return its number of frames.
 
     The same flight and rates give the same bytes.
     """
@@ -140,7 +139,7 @@ def write_tlog(path: Path, flight: Flight, rates_hz: Mapping[str, float]) -> int
 
 
 class LinkFlight:
-    """A flight over a link: what is due goes out, what comes in is answered."""
+    """A flight over a link: sends the messages that are due and answers those received."""
 
     def __init__(self, autopilot: SimulatedAutopilot, uri: str, speed: float, out: Console) -> None:
         self.flown_s = 0.0
@@ -201,7 +200,7 @@ def _rates(args: argparse.Namespace) -> dict[str, float]:
 
 
 def _flight(args: argparse.Namespace, out: Console) -> Flight:
-    """Return the flight asked for; ValueError or ConfigError where it cannot be."""
+    """Return the requested flight; ValueError or ConfigError where it cannot be flown."""
     imu = None if args.twin is None else twin_file.read(args.twin)
     if args.recording is not None:
         flight, notes = flight_along(

@@ -22,9 +22,9 @@ _SHORTEST_S: Final = 2.0
 def flight_along(
     path: Path, imu: Imu, rate_hz: float, seed: int, asked: IntakeSettings | None = None
 ) -> tuple[Flight, tuple[str, ...]]:
-    """Return the flight along the reference of a recording, and notes on what was taken for what.
+    """Return the flight along the reference of a recording, and notes on the sources used.
 
-    The longest piece without a gap in the reference is flown. RecordingError says why none can be.
+    The longest piece without a gap in the reference is flown; RecordingError if there is none.
     """
     loaded = load(path, asked=asked)
     try:
@@ -46,11 +46,11 @@ def _track(loaded: Loaded) -> tuple[ReferenceTrack, list[str]]:
         columns.velocity_ned_m_s,
         loaded.position_ned_m,
     )
-    told = "velocity: the recording's"
+    source = "velocity: the recording's"
     if not len(velocity):
-        told = "velocity: from the positions of the GPS receiver"
+        source = "velocity: from the positions of the GPS receiver"
         if not len(position):
-            told = "velocity: none in the recording, taken as at rest"
+            source = "velocity: none in the recording, assumed at rest"
     track = ReferenceTrack(
         attitude.time_s,
         attitude.values,
@@ -59,7 +59,7 @@ def _track(loaded: Loaded) -> tuple[ReferenceTrack, list[str]]:
         position.time_s,
         position.values,
     )
-    return track, [told]
+    return track, [source]
 
 
 def _longest_piece(track: ReferenceTrack) -> tuple[float, float]:

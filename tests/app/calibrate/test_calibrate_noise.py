@@ -23,11 +23,11 @@ RATES = {"HEARTBEAT": 1.0, "HIGHRES_IMU": 100.0, "SCALED_IMU": 2.0}
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
-    """Three minutes at rest of a sensor with known noise densities, and nothing else."""
+    """Three minutes at rest of a sensor with known noise densities as its only error."""
     imu = Imu(gyro_noise=TriadNoise(density=GYRO), accel_noise=TriadNoise(density=ACCEL))
     flight = make_flight("rest", 180.0, rate_hz=200.0, imu=imu)
     rows = flight.rows.copy()
-    # Every second turn of the loop is sent: the density of what is sent is what counts.
+    # Every second loop iteration is sent; the density is that of the sent samples.
     rng = np.random.default_rng(3)
     rows["gyro_rad_s"] = rng.normal(0.0, GYRO * 10.0, rows["gyro_rad_s"].shape)
     rows["accel_m_s2"] = [0.0, 0.0, -9.80665]

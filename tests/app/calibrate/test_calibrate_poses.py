@@ -33,7 +33,7 @@ def recordings(tmp_path_factory):
 
 @pytest.fixture
 def calibrate(capsys):
-    """Run the command line; exit code, JSON or None, and what was said."""
+    """Run the command line; exit code, JSON or None, and the printed text."""
 
     def run(*words):
         code = main(["calibrate", *map(str, words)])
@@ -74,7 +74,7 @@ def test_the_file_of_the_unit_makes_its_output_right(scenario, recordings, calib
     after = np.linalg.norm(accel, axis=1) - 9.80665
     assert np.sqrt(np.mean(after**2)) < 0.6 * np.sqrt(np.mean(before**2))
     assert np.abs(after.mean()) < 0.005
-    # Both benches have a wandering bias of their own, of 2e-4 rad/s; the sensor's is 5e-3.
+    # Both benches have an additional wandering bias of 2e-4 rad/s; the sensor's is 5e-3.
     assert np.abs(gyro.mean(axis=0)).max() < 8e-4
 
 
@@ -139,7 +139,7 @@ def change(flight, **columns):
 
 
 def bad(name):
-    """A bench recording that something is wrong with, and what must be said."""
+    """A faulty bench recording, and the expected message."""
     six, many = flight_of("six-position", 110.0), flight_of("multi-pose", 130.0)
     gyro, accel = six.rows["gyro_rad_s"], six.rows["accel_m_s2"]
     tremor = math.radians(3.0) * np.sin(2.0 * np.pi * 9.0 * six.rows["time_s"])[:, None]

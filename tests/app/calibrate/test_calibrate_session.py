@@ -32,7 +32,7 @@ X, Y = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
 
 @pytest.fixture
 def clumsy(monkeypatch):
-    """Six faces by somebody who first leaves the unit tilted by 30 deg, and once holds it."""
+    """Six faces by an operator who first leaves the unit tilted by 30 deg, and once holds it."""
     poses = PoseSequence(
         (
             Turn(X, 30.0),
@@ -75,7 +75,7 @@ async def fly(flight, port, process, speed):
 
 
 def until(read, pattern, said=b""):
-    """Read what a process says until `pattern` is in it."""
+    """Read the output of a process until `pattern` is in it."""
     deadline_s = time.monotonic() + HANG_S
     while not (found := re.search(pattern, said)):
         assert time.monotonic() < deadline_s, said.decode(errors="replace")[-2000:]

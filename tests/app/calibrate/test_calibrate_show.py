@@ -1,4 +1,4 @@
-"""`calibrate show`: figures that are the model's, a picture and an .rrd that hold them."""
+"""`calibrate show`: figures equal to the model's, and a picture and an .rrd with them."""
 
 import json
 import subprocess

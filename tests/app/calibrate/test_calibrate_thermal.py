@@ -60,7 +60,7 @@ def recordings(tmp_path_factory):
 
 @pytest.fixture
 def thermal(capsys):
-    """Run the command line; exit code, JSON or None, and what was said."""
+    """Run the command line; exit code, JSON or None, and the printed text."""
 
     def run(*words):
         code = main(["calibrate", "thermal", *map(str, words)])

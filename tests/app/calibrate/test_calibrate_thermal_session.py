@@ -1,4 +1,4 @@
-"""A thermal session on a real socket: it ends by itself, and its recording says the same."""
+"""A thermal session on a real socket: it ends by itself, and its recording agrees."""
 
 import asyncio
 import json

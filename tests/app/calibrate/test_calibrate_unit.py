@@ -54,7 +54,7 @@ def test_units_are_never_mixed(serial, unit, source, words, tmp_path):
         unit_of(given(path, serial), [captured(tmp_path, unit, source)])
 
 
-def test_a_real_recording_tells_its_board(shared):
+def test_a_real_recording_identifies_its_board(shared):
     path = shared / "flights" / "bench_cuav_2021-12-08_static_warmup_2hz.tlog"
     if not path.exists():
         pytest.skip(f"{path.name} is missing in ../shared/data/flights")

@@ -74,7 +74,7 @@ def test_every_file_is_whole(written):
 
 
 def test_the_calibration_written_takes_the_mismatch_away(written):
-    """By the service's own compensation: what the reference says and the IMU reads then agree."""
+    """After the service's own compensation the IMU agrees with the reference."""
     case, folder = written
     columns = load(case).columns
     calibration = calibration_file.load(folder / "calibration.toml")
@@ -114,7 +114,7 @@ def test_what_the_real_recording_has_and_the_simulated_lacks_is_said(tmp_path, c
     ("name", "words"),
     [
         ("missing.tlog", "no such file"),
-        ("notes.txt", "is no log format"),
+        ("notes.txt", "is not a supported log format"),
         (".", "is a folder; give a recording"),
     ],
 )

@@ -1,4 +1,4 @@
-"""What is told of a diagnosis: sentences, figures, page, terminal, twin."""
+"""Reports of a diagnosis: sentences, figures, page, terminal, twin."""
 
 import html
 import io

@@ -1,4 +1,4 @@
-"""`ahrs-service estimate`: the answer for plain arrays, by function, command and process."""
+"""`ahrs-service estimate`: attitude of plain arrays, by function, command and process."""
 
 import subprocess
 import sys
@@ -138,16 +138,16 @@ def test_each_profile_gives_an_answer_of_its_own(flight, run):
 
 
 def test_without_a_profile_the_motion_says_it(flight, run, capsys):
-    """The flight turns as a fixed wing does; of half a minute at rest nothing is told."""
+    """The flight is recognised as fixed-wing; from half a minute at rest nothing is recognised."""
     fields, _ = flight
     own = run(only(fields), "--profile", "fixed_wing")["quat"]
     assert run(only(fields))["quat"].tobytes() == own.tobytes()
-    assert "taken for fixed_wing" in capsys.readouterr().err
+    assert "recognised as fixed_wing" in capsys.readouterr().err
     rest = {name: fields[name][:600] for name in ("imu_gyr", "imu_acc")} | {"sampling_rate": 20.0}
     run(rest)
-    assert "taken for multirotor" in capsys.readouterr().err
+    assert "recognised as multirotor" in capsys.readouterr().err
     run(in_flu(only(fields)), "--frame", "flu", "--set", "fusion.airframe=fixed_wing")
-    assert "taken for" not in capsys.readouterr().err
+    assert "recognised as" not in capsys.readouterr().err
 
 
 def test_airspeed_is_used(flight, run):

@@ -1,4 +1,4 @@
-"""The same speeds in other forms, and what looks like other units."""
+"""The same speeds in other forms, and data that looks like other units."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from ahrs_service.app.cli import main
 from tests.app.estimate.conftest import angle_deg
 
 SLOW_ROWS = 20
-"""At 100 Hz: speeds that come five times a second."""
+"""At 100 Hz, with speeds at 5 Hz."""
 
 
 @pytest.fixture(scope="module")
@@ -38,11 +38,11 @@ def held(values):
     ],
     ids=["held", "0 where there is none", "vertical 0", "two columns"],
 )
-def test_every_form_of_the_same_speeds_tells_the_same(aided, run, form):
+def test_every_form_of_the_same_speeds_gives_the_same(aided, run, form):
     expected = run(aided, "--profile", "fixed_wing")["quat"]
     assert angle_deg(run(only_imu(aided), "--profile", "fixed_wing")["quat"], expected).max() > 1.0
     answer = run(aided | form(aided), "--profile", "fixed_wing")["quat"]
-    # One turn of the filter may take a held airspeed where another took none.
+    # One filter update may use a held airspeed where another used none.
     assert angle_deg(answer, expected).max() < 0.3
 
 

@@ -33,7 +33,7 @@ GOOD = {"imu_gyr": ROWS, "imu_acc": ROWS, "sampling_rate": 100.0}
         (GOOD | {"t": np.arange(5) * 1e12}, ["t spans", "seconds"]),
         (GOOD | {"t": np.arange(5) * 20.0}, ["t rises by 20 a sample", "seconds"]),
         (GOOD | {"t": np.ones(5)}, ["t never rises", "sampling_rate"]),
-        (GOOD | {"imu_gyr": np.array([None] * 5)}, ["no whole .npz"]),
+        (GOOD | {"imu_gyr": np.array([None] * 5)}, ["not a complete .npz"]),
     ],
 )
 def test_what_cannot_be_used_is_named(tmp_path, capsys, fields, said):
@@ -56,7 +56,7 @@ def test_other_files_and_places_are_refused(tmp_path, capsys):
         (tmp_path, tmp_path / "out.npz", "directory"),
         (single, tmp_path / "out.npz", "array without a name"),
         (source, tmp_path / "no" / "out.npz", "cannot be written"),
-        (source, source, "input itself"),
+        (source, source, "input file"),
     ]
     for place, out, said in cases:
         assert main(["estimate", "--in", str(place), "--out", str(out)]) == 1

@@ -34,7 +34,7 @@ def test_a_fixed_wing_is_known_by_its_turns(name, rate_hz):
     assert 0.4 * speed < signs.speed_m_s < 1.1 * speed
 
 
-def test_what_is_turned_by_hand_shows_gravity_from_all_sides():
+def test_a_sensor_rotated_by_hand_reads_gravity_in_all_directions():
     t = np.arange(3000) / RATE_HZ
     tilt = 1.2 * np.sin(0.5 * t)
     accel = -STANDARD_GRAVITY_M_S2 * np.stack([np.sin(tilt), 0.0 * t, np.cos(tilt)], axis=1)
@@ -83,7 +83,7 @@ def test_drift_on_the_ground_is_no_flight():
 
 
 @pytest.mark.parametrize("count", [1, 2, 500])
-def test_too_little_tells_nothing(count):
+def test_too_little_data_is_not_recognised(count):
     gyro, accel = hover()
     assert signs_of(columns(gyro[:count], accel[:count]), "frd") == Signs()
     missing = columns(np.full((count, 3), np.nan), accel[:count])

@@ -53,7 +53,7 @@ def folder_of(tmp_path, **calibrations):
 
 
 def serve(live, tmp_path, sensor, frames, **recorder):
-    """Serve `frames` over UDP, recorded; return the daemon and what it estimated and said."""
+    """Serve `frames` over UDP, recorded; return the daemon, its estimates and its output."""
 
     async def scenario():
         recording = RecorderSettings(directory=str(tmp_path / "flights"), **recorder)
@@ -83,7 +83,7 @@ def test_live_equals_replay_with_a_calibration(rotate_mb, live, flight_frames, t
 
 
 @pytest.mark.parametrize("rotate_mb", [0.0, 0.05])
-def test_the_unit_that_the_autopilot_tells_in_flight_chooses_of_a_folder(
+def test_the_unit_that_the_autopilot_reports_in_flight_selects_from_a_folder(
     rotate_mb, live, flight_frames, tmp_path
 ):
     other = Calibration(gyro=TriadCalibration(bias=(1.0, 1.0, 1.0)), serial="B", uid="4242")
@@ -115,7 +115,7 @@ def test_from_the_moment_on_the_attitude_goes_on_and_what_was_learnt_of_the_sens
 
 
 def test_settings_and_calibration_that_both_change_in_flight(live, flight_frames, tmp_path):
-    """The prior that the calibration tells holds under both settings."""
+    """The prior from the calibration is used under both settings."""
     known = lagging()
     doubt = Uncertainty(bias_residual=(1e-4,) * 3, bias_turn_on=(1e-3,) * 3)
     known = replace(known, uid=UNIT.hex(), gyro=replace(known.gyro, uncertainty=doubt))
@@ -150,14 +150,14 @@ def test_a_change_of_calibration_is_smoothed_over_on_either_side(live, flight_fr
 def test_the_replay_command_takes_file_folder_or_none(
     simulated_tlog, tmp_path, capsys, monkeypatch
 ):
-    # In a narrow terminal the table breaks the path where its length wants it.
+    # In a narrow terminal the table wraps a long path.
     monkeypatch.setenv("COLUMNS", "250")
     said = []
     for options in (["--calibration", str(SHIPPED / "sim-1.toml")], ["--calibration", "none"]):
         assert main(["replay", str(simulated_tlog), *options]) == 0
         said.append(capsys.readouterr().out)
     assert "serial SIM-1" in said[0]
-    assert "none, as asked" in said[1]
+    assert "none, as requested" in said[1]
     unit = ["--set", "sensor.unit=sim-1"]
     assert main(["replay", str(simulated_tlog), "--calibration", str(SHIPPED), *unit]) == 0
     digests = [text.split("estimates sha256 ")[1].split()[0] for text in said]
@@ -218,7 +218,7 @@ def test_a_replay_takes_another_calibration_or_none(live, flight_frames, tmp_pat
     (path,) = (tmp_path / "flights").iterdir()
     plain = replay_log(path, sensor=SensorSettings(calibration="none"))
     assert plain.summary.digest != served.digest
-    assert plain.summary.calibration == "none, as asked"
+    assert plain.summary.calibration == "none, as requested"
     again = replay_log(path, served.daemon.settings)
     assert again.summary.digest == served.digest
     assert "sim-1.toml" in again.summary.calibration
@@ -233,7 +233,7 @@ def test_the_daemon_says_which_it_uses(live, flight_frames, tmp_path):
     frames = [flight_frames[0], version(), *flight_frames[1:500]]
     served = serve(live, tmp_path, SensorSettings(calibration=str(SHIPPED)), frames)
     said = [text for _, text in served.said]
-    assert "calibration: waiting for the autopilot to tell its unit" in said
+    assert "calibration: waiting for the autopilot to report its unit" in said
     assert any("sim-1.toml: serial SIM-1, of 2026-01-01, gyro -10 to 70 degC" in t for t in said)
 
 
@@ -282,9 +282,9 @@ def test_a_folder_passes_over_what_cannot_be_used_and_says_why(tmp_path):
     newer = replace(good, provenance=Provenance("2024-02-01"))
     folder = folder_of(tmp_path, a=good, b=newer, bad=Calibration(serial="G", verdict=BAD))
     (folder / "broken.toml").write_text("[gyro")
-    shelf = CalibrationStore(SensorSettings(calibration=str(folder), unit="g"))
-    assert shelf.choose("").path.name == "b.toml"
-    assert [any(w in note for note in shelf.notes) for w in ("span 8", "not valid TOML")] == [1, 1]
+    store = CalibrationStore(SensorSettings(calibration=str(folder), unit="g"))
+    assert store.choose("").path.name == "b.toml"
+    assert [any(w in note for note in store.notes) for w in ("span 8", "not valid TOML")] == [1, 1]
 
 
 def test_a_folder_of_nothing_and_a_missing_file_are_refused(tmp_path):

@@ -1,4 +1,4 @@
-"""Settings: what may be said, and what is answered to the rest."""
+"""Settings: what is accepted, and the errors for the rest."""
 
 import dataclasses
 import json

@@ -1,4 +1,4 @@
-"""Profiles: what their files say, where they are found, and what stands above them."""
+"""Profiles: their contents, where they are found, and what overrides them."""
 
 import dataclasses
 
@@ -24,7 +24,7 @@ def test_there_is_one_of_each_kind_of_vehicle():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_profile_names_its_class_and_gives_all_its_numbers(name):
-    """All of them, so that the file says where each comes from."""
+    """All of them, for the file to name the source of each."""
     airframe = CLASSES.get(name, name)
     settings = load(profile=name)
     assert settings.fusion.airframe == airframe

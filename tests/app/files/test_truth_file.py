@@ -1,4 +1,4 @@
-"""The truth beside a recording, read or refused."""
+"""The truth file of a recording, read or refused."""
 
 import json
 

@@ -23,7 +23,7 @@ NO_MARKERS = bytes(0 if byte in (0xFD, 0xFE) else byte for byte in range(256))
 def damaged(frame: bytes, kind: int, noise: random.Random) -> bytes:
     """Return bytes that are no frame, of one of five kinds."""
     if kind == 0:
-        # Without markers, so that none of it counts as a frame of unknown id.
+        # Without start markers, which would count as frames of unknown id.
         return noise.randbytes(noise.randrange(1, 60)).translate(NO_MARKERS)
     if kind == 1:
         return frame[: noise.randrange(10, len(frame))]
@@ -58,7 +58,7 @@ def test_damage_between_good_frames(
                     for part in (piece[:cut], piece[cut:]):
                         while part and not vehicle.send(part):
                             await asyncio.sleep(0.001)
-                # A forged length holds back what follows until so many bytes came.
+                # A forged length holds back the following bytes until that many arrived.
                 sent = sum(map(len, pieces[: start + 50]))
                 await served.received(sent)
             await served.decoded(len(flight_frames))

@@ -108,7 +108,7 @@ def test_a_stall_is_reported_on_the_link_and_ends(
             beats = names(vehicle).count("HEARTBEAT")
             text = (int(dialect.MAV_SEVERITY_WARNING), "AHRS: no IMU data")
             await served.until(lambda: text in texts(vehicle))
-            # The working loop still turns, and says in its heartbeat that attitude is not there.
+            # The loop still runs, and its heartbeat reports that there is no attitude.
             await served.until(lambda: names(vehicle).count("HEARTBEAT") > beats)
             beat = [m for m in vehicle.heard if m.get_type() == "HEARTBEAT"][-1]
             assert beat.system_status == dialect.MAV_STATE_CRITICAL
@@ -134,7 +134,7 @@ async def fly_autopilot(served: Any, vehicle: Any, autopilot: Any, seconds: floa
 
 
 async def granted(served: Any, autopilot: Any) -> None:
-    """Wait until every message that the daemon wants was asked for and granted."""
+    """Wait until every message that the daemon needs was requested and granted."""
     wanted = len(served.daemon.component.rates())
     await served.until(lambda: autopilot.counts.commands["SET_MESSAGE_INTERVAL ACCEPTED"] >= wanted)
 
@@ -152,7 +152,7 @@ def answers_of(autopilot: Any) -> Any:
 
 
 def test_an_autopilot_that_restarts(live: SimpleNamespace, tmp_path: Path) -> None:
-    """Its clock begins anew and it forgot what was asked of it."""
+    """Its clock restarts and all requests are lost."""
     path, flight = tmp_path / "session.tlog", make_flight("rest", 10.0, rate_hz=400.0)
 
     async def scenario() -> Any:
@@ -173,7 +173,7 @@ def test_an_autopilot_that_restarts(live: SimpleNamespace, tmp_path: Path) -> No
     flags, phase = result.estimates["flags"], result.estimates["phase"]
     (jumps,) = np.nonzero(flags & Flag.CLOCK_JUMP)
     assert len(jumps) == 1
-    # Its samples kept coming, so what was known of the attitude still holds.
+    # Its samples continued, so the attitude is still valid.
     assert not (flags & Flag.REALIGNED).any()
     (running,) = np.nonzero(phase == Phase.RUNNING)
     assert running[0] < jumps[0]

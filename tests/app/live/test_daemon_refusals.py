@@ -1,4 +1,4 @@
-"""What the daemon cannot open or write: refused with a reason, or told and flown without."""
+"""What the daemon cannot open or write: refused with a reason, or reported and done without."""
 
 import asyncio
 from pathlib import Path
@@ -39,7 +39,7 @@ def test_what_cannot_be_opened_ends_the_service_with_a_reason(
 def test_a_disk_that_takes_no_recording_costs_the_recording_alone(
     live: SimpleNamespace, flight_frames: list[bytes], tmp_path: Path
 ) -> None:
-    """The folder is a file, so not even root can write there; the flight goes on."""
+    """The folder is a file, so not even root can write there; the flight continues."""
     (tmp_path / "flights").write_text("no folder")
 
     async def scenario() -> Any:

@@ -1,4 +1,4 @@
-"""The real `ahrs-service demo`: what it shows, what it leaves, and how it can be stopped."""
+"""The real `ahrs-service demo`: its output, its files, and how it can be stopped."""
 
 import os
 import re
@@ -65,7 +65,7 @@ def test_it_flies_reports_and_leaves_whole_files(tmp_path, ended):
     equal = re.search(r"live and replay.*equal, bit for bit \((\d+) estimates\)", shown)
     assert int(equal[1]) == len(result.estimates) > 800
     assert int(re.search(r"autopilot got.* (\d+) ATTITUDE", shown)[1]) > 150
-    assert re.search(r"HIGHRES_IMU: asked 200, came [12]\d\d\.\d Hz \(granted\)", shown)
+    assert re.search(r"HIGHRES_IMU: requested 200, received [12]\d\d\.\d Hz \(granted\)", shown)
     assert re.search(r"latency +│ p50 \d+\.\d\d ms", shown)
     assert "error against SIM_STATE (truth" in shown
     assert "sim-1.toml: serial SIM-1" in shown

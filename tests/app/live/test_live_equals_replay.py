@@ -1,4 +1,4 @@
-"""A live session and the replay of its recording give the same bytes, whatever happened in it."""
+"""A live session and the replay of its recording give the same bytes, in every kind of session."""
 
 import asyncio
 import contextlib
@@ -65,7 +65,7 @@ def is_own_mark(frame: bytes) -> bool:
 
 
 def with_company(frames: list[bytes]) -> list[bytes]:
-    """Put a ground station and a second vehicle, with an IMU of its own, between the frames."""
+    """Interleave frames of a ground station and of a second vehicle with its own IMU."""
     station, other = Encoder(255, 190), Encoder(2, 1)
     crowd = []
     for i, frame in enumerate(frames):
@@ -205,7 +205,7 @@ def test_a_trim_that_is_reported_in_flight(
         ours = part.estimates["accel_m_s2"]
         readings = part.recording.readings[part.positions]
         turned = np.abs(ours - readings["accel_m_s2"]).max(axis=1) > 0.3
-        # Before the trim only the estimated bias lies between, behind it 6 degrees of gravity.
+        # Before the trim they differ by the estimated bias only, after it by 6 degrees of gravity.
         assert not turned[: len(turned) // 3].any()
         assert turned[-len(turned) // 3 :].all()
 
@@ -376,6 +376,6 @@ def test_damaged_state_bytes_never_break_the_kernels(
 
 
 def test_the_decoder_and_the_recording_hold_the_same_frames(flight_frames: list[bytes]) -> None:
-    """What the tests above send is what a decoder makes of it, so equality means something."""
+    """The frames sent above decode to the intended messages, so the equality is meaningful."""
     decoder = Decoder()
     assert [frame for _, frame in decoder.feed(b"".join(flight_frames))] == flight_frames

@@ -1,4 +1,4 @@
-"""The real `ahrs-service run`: how it starts, ends, is killed, and what it says when it cannot."""
+"""The real `ahrs-service run`: how it starts, ends, is killed, and its errors if it cannot run."""
 
 import contextlib
 import os
@@ -62,7 +62,7 @@ class Running:
         self.socket.connect(("127.0.0.1", port))
 
     def fly(self, frames: list[bytes]) -> None:
-        """Send frames in bursts; each ends when the service has answered the command after it."""
+        """Send frames in bursts; each ends when the service has acknowledged a final command."""
         ask = dialect.MAVLink_command_long_message(
             1, 191, dialect.MAV_CMD_REQUEST_MESSAGE, 0, 0, 0, 0, 0, 0, 0, 0
         )
@@ -146,7 +146,7 @@ def test_a_recording_survives_a_kill(start, flight_frames, tmp_path):
     running = start("--record", str(tlog))
     running.connect()
     running.fly(flight_frames)
-    # Twice, so that one whole second lies between: what was heard is then with the system.
+    # Twice, one whole second apart: what was received is then written to the system.
     for _ in range(2):
         running.notified()
         running.notify.settimeout(HANG_S)
@@ -282,7 +282,7 @@ def test_help_names_every_option(command, capsys):
 
 
 def test_the_command_itself_fails_in_one_line(files):
-    """The same through the real command: nothing but one line on stderr, and the exit code."""
+    """The same through the real command: only one line on stderr, and the exit code."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as holder, socket.socket() as viewer:
         holder.bind(("127.0.0.1", 0))
         viewer.bind(("127.0.0.1", 0))

@@ -1,4 +1,4 @@
-"""`ahrs-service prove`: sealing, scoring a set that is there, files, refusals."""
+"""`ahrs-service prove`: sealing, scoring an existing set, files, refusals."""
 
 import json
 

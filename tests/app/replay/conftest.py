@@ -30,7 +30,7 @@ def imu_message(t_us, t_s):
 
 
 def frames_of(seconds=12.0, rate_hz=100.0, clock_us=lambda t_us: t_us, skip=lambda t_s: False):
-    """(receipt [us], frame) of a vehicle that rolls to and fro and tells its true attitude."""
+    """(receipt [us], frame) of a vehicle that rolls to and fro and reports its true attitude."""
     encoder = Encoder(7, 1)
     ground = Encoder(255, 190)
     frames = []
@@ -65,7 +65,7 @@ def flight(tmp_path):
 
 
 def live_digest(frames, settings=None):
-    """What the service computes when the frames come one by one."""
+    """The service's estimates for frames received one by one."""
     estimator, decoder = Estimator(settings or Settings()), Decoder()
     rows = empty(READING_DTYPE, 1)
     for received_us, frame in frames:

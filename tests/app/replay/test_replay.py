@@ -1,4 +1,4 @@
-"""Replay: the same bytes as live, and what the summary says of a recording."""
+"""Replay: the same bytes as live, and the summary of a recording."""
 
 import pickle
 
@@ -34,7 +34,7 @@ def test_replay_equals_live_bit_for_bit_on_real_recordings(name, shared):
     assert replay_log(path).summary.digest == live_digest(real_frames(path))
 
 
-def test_the_summary_tells_the_truth(flight):
+def test_the_summary_is_true(flight):
     summary = replay_log(flight).summary
     assert summary.sources == {"HIGHRES_IMU": 1200}
     assert summary.imu_rate_hz == pytest.approx(100.0, rel=1e-6)
@@ -85,7 +85,7 @@ def test_low_rate_is_warned_of_with_its_consequence(tmp_path):
     path = write(tmp_path / "slow.tlog", frames_of(30.0, 2.0))
     (warning,) = [one for one in replay_log(path).summary.warnings if "Hz" in one]
     assert "2.0 Hz" in warning
-    assert "means nothing in manoeuvres" in warning
+    assert "is meaningless in manoeuvres" in warning
 
 
 def test_a_result_can_be_pickled(flight):

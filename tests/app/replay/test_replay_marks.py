@@ -1,4 +1,4 @@
-"""Marks of the service's own recordings: settings, state, and who may set them."""
+"""Marks in the service's own recordings: settings, state, and who may set them."""
 
 import pytest
 
@@ -44,7 +44,7 @@ def test_recorded_settings_hold_from_their_place_on(tmp_path):
 
 
 def test_marks_in_a_recording_that_is_not_ours_are_passed_over(tmp_path):
-    """A ground station records what anybody sends: it must not change what a replay gives."""
+    """A ground station records messages of any sender: these must not change a replay."""
     frames = frames_of()
     mark = marked(MarkKind.SETTINGS, config_file.to_json(STRICT), frames[1][0])
     path = write(tmp_path / "theirs.tlog", [*frames[:1], *mark, *frames[1:]])

@@ -1,4 +1,4 @@
-"""What the user of a replay is told."""
+"""What a replay reports to its user."""
 
 import pytest
 

@@ -49,7 +49,7 @@ def test_the_written_truth_is_the_flights_on_the_clock_of_the_imu(simulated_tlog
 
 
 class Companion(asyncio.DatagramProtocol):
-    """A component that asks for HIGHRES_IMU at the first heartbeat and answers with ATTITUDE."""
+    """A component that requests HIGHRES_IMU at the first heartbeat and sends ATTITUDE back."""
 
     def __init__(self):
         self.names = []

@@ -1,4 +1,4 @@
-"""simulate with twins and along recordings: what comes out is what the effects say."""
+"""simulate with twins and along recordings: the output follows the effects."""
 
 from pathlib import Path
 
@@ -44,7 +44,7 @@ def test_the_twins_effects_are_in_the_readings():
     expected = level[:, None] ** 2 * [0.1, 0.0, -0.2]
     np.testing.assert_allclose(both["accel_m_s2"] - loud["accel_m_s2"], expected, atol=1e-12)
     assert np.abs(expected).max() > 0.1
-    # What the autopilot reports as vibration is what acted, to some percent.
+    # The vibration reported by the autopilot equals the simulated one within a few percent.
     reported = loud["vibration_m_s2"].mean(axis=1)[500:-500]
     assert np.median(reported / level[500:-500]) == pytest.approx(1.0, abs=0.05)
 
@@ -194,5 +194,5 @@ def test_a_recording_without_reference_is_refused(tmp_path, capsys):
 
 def test_a_twin_that_cannot_be_written_is_reported(tmp_path):
     place = tmp_path / "missing" / "twin.toml"
-    with pytest.raises(Exception, match=r"cannot be written: .*; give a place that can be"):
+    with pytest.raises(Exception, match=r"cannot be written: .*; give a writable path"):
         twin_file.write(place, Imu(), "test")

@@ -1,4 +1,4 @@
-"""The rivals: what they choose of known data, and the conditions of their optima."""
+"""The rivals: their choices on known data, and the conditions of their optima."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Whole blind cases: what nulls hold, seeds, truths, and that they are like the shared ones."""
+"""Whole blind cases: nulls, seeds, truths, and their likeness to the shared ones."""
 
 import json
 

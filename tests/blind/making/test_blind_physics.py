@@ -104,7 +104,7 @@ def test_the_earth_turns_once_a_sidereal_day(scenes):
     assert not accel.any()
 
 
-def test_mounting_keeps_the_length_of_what_it_turns(scenes):
+def test_mounting_keeps_the_length_of_what_it_rotates(scenes):
     scene = scenes["flight"]
     gyro, accel = hidden(scenes, "imu_mounting_rotation", "flight").signals(scene, 3.0)
     for ideal, added in ((scene.motion.rate_rad_s, gyro), (scene.motion.force_m_s2, accel)):

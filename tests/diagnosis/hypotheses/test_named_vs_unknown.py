@@ -90,7 +90,7 @@ def test_the_height_climbed_is_the_vertical_speed_integrated(tmp_path):
     flown_s = columns.time_s - columns.time_s[0]
     down = np.interp(flown_s, case.scene.time_s, case.scene.motion.position_ned_m[:, 2])
     assert np.ptp(down) > 5.0
-    # The reference's speed errs by 0.03 m/s over 3 s, which gathers some 0.5 m in a minute.
+    # The reference's speed errs by 0.03 m/s over 3 s, which adds up to some 0.5 m in a minute.
     assert np.std(columns.altitude_m + down) < 0.5
 
 

@@ -12,7 +12,7 @@ RATE_HZ, SECONDS = 50.0, 300.0
 
 
 def recording(seed=1):
-    """Gentle turns, a temperature that rises, a throttle that steps; noise with a slow wander."""
+    """Gentle turns, a rising temperature, throttle steps; noise with a slow wander."""
     rng = np.random.default_rng(seed)
     time_s = np.arange(round(RATE_HZ * SECONDS)) / RATE_HZ
     count = len(time_s)

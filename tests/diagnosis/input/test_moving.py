@@ -1,4 +1,4 @@
-"""Noise on an axis at rest is no motion: of such axes nothing that acts on motion is named."""
+"""Noise on an axis at rest is no motion: no motion-dependent effect is named for it."""
 
 from dataclasses import fields
 
@@ -10,7 +10,7 @@ from ahrs_service.effects.base import Columns
 
 
 def columns(rate):
-    """Columns at 50 Hz that hold `rate` [N, 3] and nothing else."""
+    """Columns at 50 Hz that hold only `rate` [N, 3]."""
     nothing = np.full(len(rate), np.nan)
     values = {field.name: nothing for field in fields(Columns)}
     values |= {"time_s": np.arange(len(rate)) / 50.0, "rate_rad_s": rate, "force_m_s2": rate}
@@ -25,7 +25,7 @@ def test_axes_at_rest_are_constant_and_axes_that_move_are_left_as_they_were():
     found = moving(columns(read), columns(swing + rng.normal(0.0, 1e-3, swing.shape)))
     assert np.array_equal(found.rate_rad_s[:, 1], read[:, 1])
     assert np.ptp(found.rate_rad_s[:, [0, 2]], axis=0) == pytest.approx(0.0, abs=1e-15)
-    # d/dt sin(2.5 t) at the start, beside the noise's slope.
+    # d/dt sin(2.5 t) at the start, plus the noise's slope.
     assert found.angular_acceleration_rad_s2[:, 1].std() == pytest.approx(
         2.5 / np.sqrt(2), rel=0.05
     )

@@ -1,4 +1,4 @@
-"""What is gathered between references that are seldom, uneven or have gaps; jumps of theirs."""
+"""Preintegration between sparse, uneven or interrupted references, and their jumps."""
 
 from dataclasses import replace
 
@@ -79,7 +79,7 @@ def test_a_slow_imu_is_followed_along_its_bends():
 
 
 def test_late_stamps_enter_the_velocity_through_the_force_alone():
-    """The response is that of the force's own lateness, whatever the gyro's does."""
+    """The response is to the delay of the force alone, whatever the gyro's delay."""
     late_s = 0.013
     recorded = recorded_at(uneven(np.random.default_rng(2), 0.1, 0.3), late_s)
     reference = reference_of(recorded)
@@ -113,7 +113,7 @@ def test_gaps_of_either_begin_anew():
     begins = at_s[:-1][gathered.is_broken]
     assert np.all(((begins > 9.9) & (begins < 13.0)) | ((begins > 19.9) & (begins < 20.51)))
     assert len(begins) > 20
-    np.testing.assert_allclose(gathered.misfit[~gathered.is_broken], 0.0, atol=2e-5)
+    np.testing.assert_allclose(preintegrated.misfit[~preintegrated.is_broken], 0.0, atol=2e-5)
 
 
 def test_a_velocity_reported_seldom_is_compared_at_its_own_instants():

@@ -1,4 +1,4 @@
-"""Window means and what is gathered until them, against numpy's own sums."""
+"""Window means and integrals up to them, against numpy's sums."""
 
 import numpy as np
 
@@ -20,7 +20,7 @@ def test_means_are_those_of_a_reshape_and_leave_out_the_rest():
         np.testing.assert_allclose(means(values, WINDOW), by_reshape(values), atol=1e-14)
 
 
-def test_what_is_gathered_is_the_corrected_trapezoid_sum_in_earth_axes():
+def test_the_integral_is_the_corrected_trapezoid_sum_in_earth_axes():
     rng = np.random.default_rng(2)
     q = rng.normal(size=(COUNT, 4))
     q /= np.linalg.norm(q, axis=1, keepdims=True)
@@ -46,10 +46,10 @@ def gathering_error(step_s):
     gathered = integral_means(axes, added, np.diff(time_s), 1)[:, 0]
     first, last = (round(at / step_s) for at in (0.1, 0.46))
     exact = np.sin(4.0 * np.pi * time_s) / (4.0 * np.pi)
-    return abs((gathered[last] - gathered[first]) - (exact[last] - exact[first]))
+    return abs((integral[last] - integral[first]) - (exact[last] - exact[first]))
 
 
-def test_what_is_gathered_converges_with_the_fourth_power_of_the_step():
+def test_the_integral_converges_with_the_fourth_power_of_the_step():
     coarse, fine = gathering_error(0.02), gathering_error(0.01)
     assert coarse < 1e-4
     assert 14.0 < coarse / fine < 18.0

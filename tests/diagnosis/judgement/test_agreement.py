@@ -10,7 +10,7 @@ BLOCKS, LENGTH = 12, 2000
 
 
 def ratio_of(noise, regressors):
-    """The ratio for regressors [N, K] fitted to a noise [N] that is taken for white of sigma 1."""
+    """The ratio for regressors [N, K] fitted to a noise [N] assumed white with sigma 1."""
     solution, *_ = np.linalg.lstsq(regressors, noise, rcond=None)
     left = noise - regressors @ solution
     pieces = np.array_split(np.arange(len(noise)), BLOCKS)

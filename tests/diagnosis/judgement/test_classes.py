@@ -50,7 +50,7 @@ def test_what_a_flight_that_only_warms_cannot_part_is_answered_by_the_class(tmp_
     assert all("thermal" in name or "warm" in name for name in finding.alike)
 
 
-def test_hysteresis_needs_a_temperature_that_turns(tmp_path):
+def test_hysteresis_needs_a_temperature_that_reverses(tmp_path):
     residual = compare(recorded(tmp_path))
     assert np.all(np.diff(residual.columns.temperature_degc) > -0.1)
     assert "warming and cooling" in library_of(residual).refused["gyro_thermal_hysteresis"]

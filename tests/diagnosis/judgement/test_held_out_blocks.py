@@ -1,4 +1,4 @@
-"""What a block that tells nothing of a number predicts of it: a warm-up lies in the first block."""
+"""Prediction by a block without information on a number: a warm-up is in the first block."""
 
 from ahrs_service.app.diagnose.recorded_columns import read_columns
 from ahrs_service.app.prove.blind_files import case_bytes

@@ -133,7 +133,7 @@ def test_without_contradiction_blocks_tell_the_same_and_with_it_more():
         found = []
         for _ in range(30):
             rows = draw(rng, 300)
-            # Noise of three times the size in the last fifth, where the slopes are told most.
+            # Noise of three times the size in the last fifth, which determines the slopes most.
             rows[240:] *= size
             residual, model, _ = fitted(rows)
             blocks = np.diag(covariance_by_blocks(residual, model))

@@ -31,7 +31,7 @@ class White:
 
 @dataclass
 class Empty:
-    """A model that holds nothing but a column of ones."""
+    """A model with only a column of ones."""
 
     base: np.ndarray
     misfit: np.ndarray

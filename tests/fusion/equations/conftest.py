@@ -1,4 +1,4 @@
-"""These tests take few steps each: the kernels run as they are written, and nothing is compiled.
+"""These tests take few steps each: the kernels run as plain Python and are not compiled.
 
 Undecorated they give the same bytes (tests/test_pipeline_state.py).
 """

@@ -1,4 +1,4 @@
-"""What a sample gathers and a turn adds to the covariance, against numbers worked out by hand."""
+"""What samples and updates add to the covariance, against numbers worked out by hand."""
 
 import math
 
@@ -15,7 +15,7 @@ TURN_S = 0.12
 
 
 def level(rotvec=(0.0, 0.0, 0.0)):
-    """At rest since long, nothing gathered, all errors known."""
+    """At rest for long, nothing accumulated, all errors known."""
     state = flying(41)
     stand(state, attitude(rotvec))
     for name in ("covariance", "gyro_matrix", "gyro_bias_rad_s", "accel_bias_m_s2"):
@@ -31,7 +31,7 @@ def test_half_of_what_the_rate_changes_is_not_known():
     """A change of 0.48 rad/s about one axis, evenly spread: 0.48^2 / 48.
 
     So even a change is no bend: three rates 0, 0.48, 0.96 in a row. Rates 0, 0.48, 0 bend by 0.96,
-    of which 1 / 36 is taken for shake that aliases.
+    of which 1 / 36 is assumed to be aliased vibration.
     """
     settings = settings_of(gyro_scale_error_rts=0.0)
     for last, expected in (
@@ -85,7 +85,7 @@ def test_at_rest_nothing_moves_and_what_falls_falls(samples_are_means):
 
 
 def test_what_shakes_makes_the_bias_walk_and_the_velocity_unsure():
-    """From 0 to 2 m/s^2 forward: the mean is 1; 0.5 * 2^2 of shake, by 0.03^2 of it a second.
+    """From 0 to 2 m/s^2 forward: the mean is 1; 0.5 * 2^2 of vibration, 0.03^2 of it a second.
 
     norm(f) = 12: 5 % of the 2.19335 m/s^2 beyond g, and 0.4 m/s per root of a second.
     """
@@ -110,7 +110,7 @@ def test_what_shakes_makes_the_bias_walk_and_the_velocity_unsure():
     assert state["update_velocity_variance"] == pytest.approx(0.06 * 0.1 * 0.01)
 
 
-def test_over_a_gap_it_may_have_turned_and_flown_anywhere():
+def test_over_a_gap_any_rotation_and_flight_is_possible():
     """0.4 s: 1 rad/s and 3 m/s^2 all the time, not at random."""
     settings, state = settings_of(gyro_scale_error_rts=0.0), level()
     q = state["ned_from_body"].copy()
@@ -144,7 +144,7 @@ def grown(state, update_s=TURN_S, degc=math.nan, is_compensated=False, **given):
     return state["covariance"]
 
 
-def test_a_turn_adds_the_noise_of_its_time():
+def test_an_update_adds_the_noise_of_its_time():
     """Densities squared times 0.12 s; the bias and the wind walk, and the force's variance."""
     state = level()
     state["update_velocity_variance"], state["update_angle_variance"] = 0.3, 1e-4
@@ -190,7 +190,7 @@ def test_an_axis_not_known_widens_the_angle_about_where_it_points():
 
 
 def test_an_attitude_that_is_not_known_at_all_stays_so():
-    """Beyond pi^2 the row shrinks by the root; what it shares with others stays in proportion."""
+    """Beyond pi^2 the row shrinks by the root; its covariances shrink in proportion."""
     state = level()
     p = state["covariance"]
     p[2, 2], p[2, 7], p[7, 2], p[7, 7] = 4.0 * math.pi**2, 6.0, 6.0, 8.0
@@ -199,7 +199,7 @@ def test_an_attitude_that_is_not_known_at_all_stays_so():
 
 
 def test_the_larger_principal_variance_of_a_tilt_does_not_depend_on_where_north_is():
-    """Variances 0.09 and 0.01 along axes turned by any angle: 0.09."""
+    """Variances 0.09 and 0.01 along axes rotated by any angle: 0.09."""
     for angle in (0.0, 0.4, 1.1, 2.0):
         c, s = math.cos(angle), math.sin(angle)
         turn = np.array([[c, -s], [s, c]])

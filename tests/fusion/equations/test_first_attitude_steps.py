@@ -1,4 +1,4 @@
-"""The first attitude, and what a sample cannot have measured, worked out by hand."""
+"""The first attitude, and impossible samples, worked out by hand."""
 
 import math
 
@@ -130,7 +130,7 @@ def test_a_state_that_no_flight_brings_about_is_not_sound(name, index, value):
 
 @pytest.mark.parametrize("rate", [0.03, -0.03])
 def test_a_mean_rate_at_rest_is_the_bias(rate):
-    """Less what is taken for the bias already is what was applied; 0.002 rad/s it may be wrong."""
+    """The applied bias is subtracted; it may be wrong by 0.002 rad/s."""
     settings, state = settings_of(alignment_s=0.5), standing()
     state["aligned_samples"], state["alignment_start_ns"] = 1, state["time_ns"]
     for name in ("gyro_sum_rad_s", "gyro_square_sum", "force_error_sum", "applied"):

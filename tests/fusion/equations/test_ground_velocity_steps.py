@@ -1,4 +1,4 @@
-"""Wind brought in and let go, a heading found by how velocities change, and what is remembered."""
+"""Wind added and removed, a heading from velocity changes, and the stored velocities."""
 
 import math
 
@@ -81,7 +81,7 @@ def flown(state, seconds, ours, measured, airframe):
 
 
 def unknown_heading():
-    """Level, believed to point 17 deg off north; nothing tells the heading."""
+    """Level, estimated heading 17 deg off north; no heading source."""
     state = flying(24, UNAIDED, sigma=1e-3)
     stand(state, attitude([0.0, 0.0, 0.3]))
     state["velocity_lag_s"], state["measured_time_ns"] = 1e-9, 0
@@ -92,8 +92,8 @@ def unknown_heading():
 
 
 @pytest.mark.parametrize("turned", [0.8, -2.0])
-def test_a_heading_is_how_the_measured_changes_are_turned_against_ours(turned):
-    """Wind does not matter, it does not change; all turns to where the changes agree."""
+def test_a_heading_is_the_rotation_of_the_measured_changes_against_ours(turned):
+    """Constant wind has no influence; all rotates to where the changes agree."""
     state = unknown_heading()
     c, s = math.cos(turned), math.sin(turned)
 
@@ -157,7 +157,7 @@ def test_a_heading_is_reported_where_the_changes_share_enough(common, is_reporte
         state = unknown_heading()
         state["match"] = (0.0, common * scale, 100.0, 100.0, 5.0)
         ground_velocity._begin_if_it_agrees(state, Airframe.OTHER)
-        # 99.4 and 96.4 of 100 are told; 95 and 92 are not.
+        # 99.4 and 96.4 of 100 are accepted; 95 and 92 are not.
         assert (state["states"] == AIDED) == is_reported
 
 
@@ -170,7 +170,7 @@ def test_changes_that_are_not_ours_are_not_used():
     assert state["states"] == UNAIDED
 
 
-def test_what_is_to_be_corrected_turns_along_to_the_heading_found():
+def test_pending_corrections_rotate_to_the_heading_found():
     """A quarter to the right: a correction to the north becomes one to the east."""
     state = unknown_heading()
     mekf.settle(state)
@@ -190,7 +190,7 @@ def test_what_is_remembered_is_corrected_as_the_present_velocity():
     np.testing.assert_allclose(state["history_m_s"][:, 5], [1.5, 0.75, 3.0])
 
 
-def test_between_two_turns_the_velocity_is_that_of_the_time_between():
+def test_between_two_updates_the_velocity_is_that_of_the_time_between():
     """From 2 m/s at 10.00 s to 6 at 10.12: 30 ms after the first it is 3 m/s."""
     state = unknown_heading()
     for time_ns, north in ((10 * 10**9, 2.0), (10_120_000_000, 6.0), (10_240_000_000, 0.0)):

@@ -11,13 +11,13 @@ from tests.magnetic_field import FIELD, OF_A_TURN, TURN_S, facing, settings_of, 
 
 
 def turned(angle):
-    """The field as it looks to one whose heading is so much too large."""
+    """The field as measured with a heading that is too large by `angle`."""
     return np.array([20.0 * math.cos(angle), 20.0 * math.sin(angle), 40.0])
 
 
 @pytest.mark.parametrize("yaw", [0.0, 2.0])
 @pytest.mark.parametrize(("seen", "declination"), [(0.1, 0.0), (-0.1, 0.0), (0.0, 0.1), (0.3, 0.2)])
-def test_a_field_seen_east_of_where_it_points_turns_the_heading_back(seen, declination, yaw):
+def test_a_field_seen_east_of_its_direction_rotates_the_heading_back(seen, declination, yaw):
     """K = P / (P + R), R = (0.06^2 + (40 / 20)^2 * 1e-4) over 10 s, P = 0.04 rad^2."""
     variance = (0.0036 + 4.0 * 1e-4) * OF_A_TURN
     found = taken(facing(yaw), turned(seen), settings_of(declination))
@@ -25,7 +25,7 @@ def test_a_field_seen_east_of_where_it_points_turns_the_heading_back(seen, decli
 
 
 def test_a_field_that_misses_the_reference_is_trusted_less():
-    """It shows d = 5 uT along the meridian or down, so d / sqrt(2) may hide across 20 uT.
+    """It differs by d = 5 uT along the meridian or down, so d / sqrt(2) may hide across 20 uT.
 
     The limit is a tenth of the norm, squared 20: 0.5 * 25 * (1 + 25 / 20) = 28.125 uT^2.
     """
@@ -59,9 +59,9 @@ def test_a_magnetic_error_does_not_tilt_the_horizon():
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("yaw", [0.0, 0.9])
 def test_a_late_reading_belongs_to_the_attitude_of_then(axis, yaw):
-    """The vehicle turned for 20 ms since: at 2 rad/s by 40 mrad, of which 0.8 mrad is of 2nd order.
+    """The vehicle rotated for 20 ms since: at 2 rad/s by 40 mrad, 0.8 mrad of it of 2nd order.
 
-    C (w x m) is how fast the reading turns in earth axes.
+    C (w x m) is how fast the reading rotates in earth axes.
     """
     state, lag_s = facing(yaw), 0.02
     rate = np.zeros(3)
@@ -79,8 +79,8 @@ def test_a_late_reading_belongs_to_the_attitude_of_then(axis, yaw):
     assert abs(state["correction"][2]) < 1e-4
 
 
-def test_a_magnet_that_turns_along_is_taken_out_before_the_lag():
-    """w x (m - b): what is attached does not turn."""
+def test_an_attached_magnet_is_removed_before_the_lag():
+    """w x (m - b): an attached field does not rotate."""
     state = facing()
     state["iron_ut"], state["rate_rad_s"] = (5.0, 0.0, 0.0), (0.0, 0.0, 1.0)
     heading.gather(state, np.array([5.0, 0.0, 0.0]), TURN_S)
@@ -91,7 +91,7 @@ def test_a_magnet_that_turns_along_is_taken_out_before_the_lag():
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.2])
-def test_a_field_freed_of_the_attached_magnet_tells_the_heading(yaw):
+def test_a_field_without_the_attached_magnet_gives_the_heading(yaw):
     """30 uT to the right and 15 up: the field as read misses by far, without them by nothing."""
     state = facing(yaw)
     state["iron_ut"], state["read_misfit_ut2"] = (0.0, 30.0, -15.0), 500.0
@@ -113,8 +113,8 @@ def test_a_field_freed_of_the_attached_magnet_tells_the_heading(yaw):
         (0.3, 0.8, (-math.sin(0.5), math.cos(0.5), 0.0)),
     ],
 )
-def test_a_magnet_turns_the_field_by_its_part_across_the_meridian(yaw, azimuth, across):
-    """To one who faces north, iron to the right turns a field that points north."""
+def test_a_magnet_rotates_the_field_by_its_part_across_the_meridian(yaw, azimuth, across):
+    """Facing north, iron to the right rotates a field that points north."""
     state = facing(yaw)
     root = np.array([[1.0, 0.2, 0.0], [0.0, 2.0, -0.5], [0.3, 0.0, 1.5]])
     state["iron_covariance"] = root @ root.T
@@ -145,7 +145,7 @@ def test_the_variance_of_iron_and_lag_widens_that_of_the_azimuth():
         ((12.0, 16.0), (7.0, 3.0), 0.6 * 3.0 - 0.8 * 7.0),
     ],
 )
-def test_a_lag_turns_the_field_by_what_turns_across_the_meridian(field, turning, across):
+def test_a_lag_rotates_the_field_by_its_motion_across_the_meridian(field, turning, across):
     state = facing()
     state["field_lag_variance_s2"] = 1e-4
     state["mag_turning_ut_s"] = (2.0 * turning[0], 2.0 * turning[1], 9.0)
@@ -153,7 +153,7 @@ def test_a_lag_turns_the_field_by_what_turns_across_the_meridian(field, turning,
     assert found == pytest.approx(1e-4 * across**2, rel=1e-9)
 
 
-def test_the_sigma_tells_where_the_field_itself_may_point():
+def test_the_sigma_covers_the_direction_of_the_field_itself():
     state = facing(variance=0.0064)
     assert heading.sigma(state) == pytest.approx(0.1)
     state["heading_source"] = heading.VELOCITY
@@ -161,7 +161,7 @@ def test_the_sigma_tells_where_the_field_itself_may_point():
 
 
 def test_a_first_heading_is_as_good_as_a_reading_and_the_tilt():
-    """0.2^2 + (40 / 20)^2 * 0.01 rad^2; it turns to the declination, from wherever it stood."""
+    """0.2^2 + (40 / 20)^2 * 0.01 rad^2; it rotates to the declination from any heading."""
     state = facing(1.0, tilt_variance=0.01)
     state["heading_source"] = heading.NONE
     heading.gather(state, np.array([20.0, 0.0, 40.0]), TURN_S)

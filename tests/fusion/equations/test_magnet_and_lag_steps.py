@@ -1,4 +1,4 @@
-"""How late a magnetometer is and what turns along with it, by numbers worked out by hand."""
+"""Lag of a magnetometer and its attached field, against numbers worked out by hand."""
 
 import math
 
@@ -17,7 +17,7 @@ def lag_state():
     return state
 
 
-def test_the_lag_is_how_much_the_field_moved_by_how_much_it_turns():
+def test_the_lag_is_the_motion_of_the_field_over_its_rate():
     """D changes by 10 uT/s to the east, e by 0.2 uT: 20 ms, of which K 10 with 0.03 s, 2 * 1 uT^2.
 
     V / (V 100 + 2) = 9e-4 / 2.09: 0.861 ms, and V becomes 2 of that.

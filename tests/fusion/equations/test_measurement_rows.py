@@ -63,7 +63,7 @@ def test_the_velocity_through_the_air_is_measured_along_the_body(drag_s, airfram
     state["update_force_s"] = TURN_S
     state["update_force_m_s"] = TURN_S * np.array([0.8, -1.1, -9.3])
     if agrees:
-        # About what 14 m/s and the drag of 4, 3.5 and 0.3 s show.
+        # About the prediction of 14 m/s and the drag of 4, 3.5 and 0.3 s.
         state["velocity_ned_m_s"] = state["wind_ned_m_s"] + state["dcm"] @ [11.5, 3.0, -0.3]
     before = state.copy()
     pitot = heard == "airspeed" and airframe == Airframe.FIXED_WING
@@ -103,7 +103,7 @@ def test_the_velocity_through_the_air_is_measured_along_the_body(drag_s, airfram
 
 
 def tilt_seen(state, before, felt):
-    """The tilt that `before` sees where `state` is the truth: gravity, and what its bias adds."""
+    """The tilt measured by `before` where `state` is the truth: gravity plus its bias."""
     body = felt + state["accel_bias_m_s2"] - before["accel_bias_m_s2"]
     return tilt_of(before["dcm"] @ body)
 
@@ -125,7 +125,7 @@ def test_the_tilt_that_gravity_shows_is_that_of_attitude_and_bias(count, axis):
 
 
 def test_at_rest_velocity_tilt_and_rate_are_measured():
-    """Velocity 0, whatever the heading: that of the truth in the axes that are believed, C C_t' v.
+    """Velocity 0, for any heading: that of the truth in the estimated axes, C C_t' v.
 
     Tilt by the force, (0.12 / 3 + 0.02^2) / g^2 over 0.4 s; the gyro's bias by the mean rate.
     """
@@ -148,7 +148,7 @@ def test_at_rest_velocity_tilt_and_rate_are_measured():
 
 
 def remembered(state, velocity, slope, seconds=2.0):
-    """Let the filter have flown with an even acceleration [m/s^2] until now, turn by turn."""
+    """Let the filter have flown with an even acceleration [m/s^2] until now, update by update."""
     now_ns, step_ns = 60 * 10**9, 120_000_000
     for k in range(round(seconds / TURN_S), -1, -1):
         state["time_ns"] = now_ns - k * step_ns
@@ -165,7 +165,7 @@ def test_a_measured_velocity_is_that_of_a_lag_ago(share):
     state = flying(14, AIDED, sigma=0.05)
     velocity, slope = np.array([6.0, -3.0, 0.5]), np.array([3.0, -2.0, 1.0])
     remembered(state, velocity, slope)
-    # In the middle between two turns that are remembered, 90 ms and 210 ms ago.
+    # In the middle between two stored updates, 90 ms and 210 ms ago.
     state["velocity_lag_s"] = 0.2
     missed = share * np.array([0.5, -0.4, 0.3])
     state["measured_velocity_m_s"] = velocity - 0.2 * slope + missed

@@ -13,7 +13,7 @@ from tests.standing import WING, G, settings_of, standing
 
 
 def test_rest_is_followed_over_half_a_second():
-    """0.1 s: weight 0.1 / 0.6 = 1/6 of what differs from the mean, after the mean has moved."""
+    """0.1 s: weight 0.1 / 0.6 = 1/6 of the difference from the mean, after the mean has moved."""
     state = standing()
     state["mean_rate_rad_s"], state["rate_variance"], state["force_variance"] = 0.0, 6e-4, 0.012
     gyro, accel = np.array([0.06, 0.0, 0.0]), np.array([0.0, 0.3, -G])
@@ -94,7 +94,7 @@ def test_a_long_rest_that_shows_another_bias_doubts_it():
 
 @pytest.mark.parametrize("shown", [1.05, 0.97])
 def test_a_scale_is_found_by_how_much_of_gravity_is_shown(shown):
-    """k = V / (V + (0.5 / g)^2 / 0.1) where nothing shakes; too much shown, the scale goes down."""
+    """k = V / (V + (0.5 / g)^2 / 0.1) without vibration; a reading too large lowers the scale."""
     settings, state = settings_of(accel_bias_sigma_m_s2=0.0), standing()
     state["force_scale"], state["force_scale_variance"], state["at_rest"] = 1.1, 1.6e-3, 0
     state["force_variance"], state["smooth_rate_rad_s"] = 0.01, 0.0
@@ -158,7 +158,7 @@ def test_a_tilt_that_steady_motion_contradicts_becomes_doubtful():
 def test_gravity_corrects_the_tilt_by_how_long_it_was_averaged(stands):
     """(0.3 / g)^2, and of a slow turn 2 v^2 r / g^2, over 1 s of which 0.12 s were averaged.
 
-    The turn is that about down: 0.02 rad/s, however the body stands and whatever else it turns by.
+    The turn is that about down: 0.02 rad/s, for any attitude and any other rotation of the body.
     Over ground (7, 4) m/s, of which the wind is (4, 0): 5 m/s.
     """
     settings, state = settings_of(accel_noise_m_s2=0.3), standing()
@@ -175,7 +175,7 @@ def test_gravity_corrects_the_tilt_by_how_long_it_was_averaged(stands):
 
 
 def test_while_it_aligns_what_the_norm_shows_counts_as_well():
-    """A norm 0.4 m/s^2 off, turned at 0.1 rad/s by a class that flies at 15 m/s: 0.16 + 2.25."""
+    """A norm 0.4 m/s^2 off, a turn of 0.1 rad/s by a class that flies at 15 m/s: 0.16 + 2.25."""
     settings = settings_of(accel_noise_m_s2=0.3, forward_speed_m_s=15.0)
     state = standing()
     state["phase"], state["gate"], state["gate_metrics"] = Phase.ALIGNING, 1, (0.4, 0.1, 0.0, 0.0)

@@ -45,7 +45,7 @@ def test_sculling_is_of_the_third_order_in_each_axis():
 
 @pytest.mark.parametrize("is_mean", [False, True])
 def test_coning_is_of_the_fourth_order_about_each_axis(is_mean):
-    """Of a rate that changes evenly only what is of the fourth order is left: 1 / 16."""
+    """For a linearly changing rate only the fourth-order error remains: 1 / 16."""
     errors = []
     for dt_s in (0.08, 0.04):
         if is_mean:

@@ -1,4 +1,4 @@
-"""Each step of the smoother by itself: corrections put together, taken back, and written out."""
+"""Each step of the smoother alone: corrections combined, removed, and written out."""
 
 import math
 
@@ -52,16 +52,16 @@ def correction(**parts):
         ((0.0, 0.1, 0.0), (10.0, 0.0, 0.0), (10.0, 0.0, -1.0)),
     ],
 )
-def test_a_later_turn_turns_the_velocity_that_was_added_before(angle, velocity, expected):
+def test_a_later_rotation_rotates_the_velocity_added_before(angle, velocity, expected):
     found = put_together(correction(angle=angle), correction(velocity=velocity))
     np.testing.assert_allclose(found[VELOCITY : VELOCITY + 3], expected, atol=1e-12)
     np.testing.assert_allclose(found[:3], angle, atol=1e-12)
-    # A turn before the velocity was added does not.
+    # A rotation before the velocity was added does not.
     other = put_together(correction(velocity=velocity), correction(angle=angle))
     np.testing.assert_allclose(other[VELOCITY : VELOCITY + 3], velocity, atol=1e-12)
 
 
-def test_of_two_turns_the_second_is_about_earth_axes():
+def test_of_two_rotations_the_second_is_about_earth_axes():
     """A quarter about north, then one about east: where does east go?."""
     first, second = (0.5 * math.pi, 0.0, 0.0), (0.0, 0.5 * math.pi, 0.0)
     found = put_together(correction(angle=second), correction(angle=first))
@@ -105,15 +105,15 @@ def test_before_the_wind_was_known_the_velocity_was_that_through_the_air(in_wind
 
 
 def test_what_was_applied_comes_before_what_is_left():
-    """The whole is `after` put on top of `applied`: a turn in `after` turns what was applied."""
+    """The sum is `after` on top of `applied`: a rotation in `after` rotates what was applied."""
     node = a_node(applied=correction(velocity=(10.0, 0.0, 0.0)))
     before = np.empty(ERROR_STATES)
     smoother._undo(node, correction(angle=(0.0, 0.0, 0.1)), np.zeros((24, 24)), before)
     np.testing.assert_allclose(before[VELOCITY : VELOCITY + 3], [10.0, 1.0, 0.0], atol=1e-12)
 
 
-def test_before_a_turn_to_north_all_stood_turned_back():
-    """Turned right by a quarter: what is east now was north, what is south now was east."""
+def test_before_a_rotation_to_north_all_was_rotated_back():
+    """Rotated right by 90 degrees: what is east now was north, what is south now was east."""
     node = a_node(rotated_rad=0.5 * math.pi)
     after = correction(velocity=(-2.0, 1.0, 3.0), wind=(-4.0, 5.0))
     ps, before = np.diag(np.arange(1.0, 25.0)), np.empty(ERROR_STATES)
@@ -150,7 +150,7 @@ def test_a_row_is_moved_by_what_leads_to_the_smoothed_state():
     np.testing.assert_allclose(row["rate_rad_s"], [1.0 - 0.051, 2.0 + 0.002, -3.0 + 0.087])
     np.testing.assert_allclose(row["gyro_bias_rad_s"], [0.011, 0.018, 0.033])
     np.testing.assert_allclose(row["accel_m_s2"], [0.4, -0.1, -9.8])
-    # At rest the accelerometer shows -g along down: what is left of it is the residual.
+    # At rest the accelerometer reads -g along down: the remainder is the residual.
     gravity = turn.inv().apply([0.0, 0.0, -9.80665])
     np.testing.assert_allclose(row["residual_m_s2"], row["accel_m_s2"] - gravity, atol=1e-12)
     # Where the field itself points, 0.07 rad^2, stays unknown about down alone.
@@ -172,7 +172,7 @@ def test_between_two_nodes_the_way_goes_evenly_from_the_earlier_on():
 
 
 def two_nodes(**second):
-    """Three rows alike, nodes at the first and the last; nothing moves between, no noise comes."""
+    """Three equal rows, nodes at the first and the last; no motion and no noise between."""
     nodes, rows = np.zeros(3, NODE_DTYPE), empty(ESTIMATE_DTYPE, 3)
     rows[:] = a_row()
     rows["time_ns"] = np.arange(3) * 10_000_000
@@ -187,7 +187,7 @@ def two_nodes(**second):
 
 
 def assert_turned(rows, turns):
-    """Each row is that of `a_row`, turned about earth axes."""
+    """Each row is that of `a_row`, rotated about earth axes."""
     was = Rotation.from_quat(np.roll(a_row()["ned_from_body"], -1))
     for row, turn in zip(rows, turns, strict=True):
         found = Rotation.from_quat(np.roll(row["ned_from_body"], -1))
@@ -195,10 +195,10 @@ def assert_turned(rows, turns):
 
 
 def test_what_came_late_at_a_node_comes_before_what_later_nodes_found():
-    """All of what the second node found holds at the first.
+    """All corrections found at the second node apply at the first.
 
     There half a radian about down came late: the smoothed attitude has that first, then 0.6 about
-    north. Half way between the nodes lies half of the way from one to the other.
+    north. Half-way between the nodes the correction is the mean of both.
     """
     nodes, rows = two_nodes(applied=correction(angle=(0.6,)))
     nodes[1]["late"] = correction(angle=(0.0, 0.0, 0.5))
@@ -222,7 +222,7 @@ def test_the_way_back_by_hand():
     np.testing.assert_allclose(rows["gyro_bias_sigma_rad_s"][:, 0] ** 2, [10 / 9, 19 / 18, 1.0])
 
 
-def test_before_a_heading_was_found_all_is_turned_to_it():
+def test_before_a_heading_was_found_all_is_rotated_to_it():
     """By 0.7 rad to the right, up to the sample before the one at which it was found."""
     nodes, rows = two_nodes(rotated_rad=0.7)
     smoother.smooth(nodes, 3, rows)
@@ -236,7 +236,7 @@ def test_what_the_heading_has_beyond_the_filter_is_where_the_field_points():
     node["covariance"] = covariance[LOWER]
     row = a_row()
     row["attitude_sigma_rad"][2] = 0.1
-    # 0.01 of which the filter's own angle about down is 0.003.
+    # Of this 0.01 the filter's angle about down is 0.003.
     assert smoother._variance_of_the_field(row, node) == pytest.approx(0.007)
 
 

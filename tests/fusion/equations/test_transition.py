@@ -18,7 +18,7 @@ ACCEL = np.array([[1.5, -2.0, -9.0]]) + np.outer(np.arange(COUNT + 1), [0.02, 0.
 
 
 def fly(state, gyro_sample):
-    """Fly on for less than a turn of the filter, from readings that went on before."""
+    """Fly on for less than one filter update, from steady earlier readings."""
     return flown(state, gyro_sample)[0]
 
 
@@ -44,9 +44,9 @@ def flown(state, gyro_sample):
 
 @pytest.mark.parametrize("gyro_sample", ["instant", "mean"])
 def test_two_states_fly_apart_as_the_transition_says(gyro_sample):
-    """Within a turn of 50 ms, each error state in its turn.
+    """Within an update of 50 ms, each error state one after the other.
 
-    What the transition leaves out is of the second order of the turn: a gyro's error tilts the
+    The transition neglects terms of second order in the update time: a gyro's error tilts the
     force, which is velocity of g t^2 / 2, 12 mm/s per rad/s.
     """
     start = flying(7)
@@ -76,7 +76,7 @@ def test_two_states_fly_apart_as_the_transition_says(gyro_sample):
 def test_what_is_known_of_the_sensors_is_taken_off_the_readings():
     """Rate: w - b - M w; force: scale f - bias. What is left of that without gravity, C' (0, 0, g).
 
-    The innovation of the tilt about north and east stands in body axes.
+    The innovation of the tilt about north and east is in body axes.
     """
     start = flying(8)
     start["force_scale"], start["tilt_innovation_rad"] = 1.05, (0.03, -0.01)
@@ -95,7 +95,7 @@ def test_what_is_known_of_the_sensors_is_taken_off_the_readings():
 def test_a_level_vehicle_by_hand():
     """0.1 s at rest, level, to the north; g = 9.80665 up as it is felt.
 
-    An axis leaning by psi_E (nose up) shows the force pointing back to north: v_N += psi_E * g up
+    An axis tilted by psi_E (nose up) puts the force component towards north: v_N += psi_E * g up
     = -psi_E * 9.80665 * 0.1 * -1. A bias of the gyro along x, too little taken off, turns the truth
     back; one of the accelerometer slows the truth down.
     """
@@ -127,7 +127,7 @@ def test_a_correction_moves_the_state_to_the_truth_it_stands_for(count):
     mekf.apply_correction(state)
     np.testing.assert_allclose(error_between(expected, state), 0.0, atol=1e-12)
     np.testing.assert_allclose(state["dcm"], expected["dcm"], atol=1e-12)
-    # The force in earth axes turns along: C' f_body.
+    # The force in earth axes rotates too: C' f_body.
     felt = before["dcm"].T @ before["force_ned_m_s2"]
     np.testing.assert_allclose(state["force_ned_m_s2"], expected["dcm"] @ felt, atol=1e-6)
     added = state["velocity_ned_m_s"] - before["velocity_ned_m_s"]
@@ -135,7 +135,7 @@ def test_a_correction_moves_the_state_to_the_truth_it_stands_for(count):
     np.testing.assert_array_equal(state["applied"], error)
 
 
-def test_turned_about_down_all_that_is_reported_in_earth_axes_turns():
+def test_rotated_about_down_all_that_is_reported_in_earth_axes_rotates():
     """By 0.7 rad: what was north is (cos, sin). Nothing in body axes changes."""
     angle = 0.7
     state = flying(4)

@@ -39,7 +39,7 @@ LIKELY = {
 
 @st.composite
 def arrivals(draw):
-    """One message of any type with any bytes, often of a kind that we answer."""
+    """One message of any type with any bytes, often of a kind that we respond to."""
     number = draw(st.one_of(st.sampled_from(HANDLED), st.sampled_from(NUMBERS)))
     size = dialect.mavlink_map[number].unpacker.size
     payload = draw(st.binary(min_size=size, max_size=size))

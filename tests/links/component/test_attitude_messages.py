@@ -40,7 +40,7 @@ def test_stamps_in_microseconds_with_jitter_cost_no_period():
 
 @pytest.mark.parametrize("rate_hz", [50.0, 25.0, 10.0, 30.0])
 def test_the_mean_rate_holds_on_a_loop_of_400_hz_that_sends_333(rate_hz):
-    """ArduPilot at 333 Hz: steps of 2.5 and 5 ms, as the turns of its loop fall."""
+    """ArduPilot at 333 Hz: steps of 2.5 and 5 ms, whole periods of its loop."""
     turn = np.ceil(np.arange(33_300) * 3.0 / 2.5)
     stamps = (turn * 2.5 * MS).astype(np.int64)
     assert set(np.diff(stamps)) == {2_500_000, 5_000_000}

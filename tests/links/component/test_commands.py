@@ -43,7 +43,7 @@ def component(arrived):
 
 @pytest.fixture(params=["COMMAND_LONG", "COMMAND_INT"])
 def command(component, arrived, request):
-    """Function that gives a command from the ground and returns the answers off the wire."""
+    """Function that sends a command from the ground and returns the replies on the link."""
 
     def command(number, first=0.0, second=0.0, target=(1, 191)):
         if request.param == "COMMAND_LONG":
@@ -146,7 +146,7 @@ def test_the_heartbeat_asked_for_has_the_state_of_the_last_tick(component, comma
         assert heartbeat.system_status == number
 
 
-def test_the_version_tells_mavlink_2_and_how_parameters_travel(command):
+def test_the_version_reports_mavlink_2_and_the_parameter_encoding(command):
     ack, version = command(REQUEST, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
     assert ack.result == ACCEPTED
     assert version.capabilities == (

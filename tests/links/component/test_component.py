@@ -1,4 +1,4 @@
-"""Who is our autopilot, who is not, and what we say of ourselves."""
+"""Which sender is our autopilot, and what our component announces."""
 
 import itertools
 

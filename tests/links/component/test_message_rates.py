@@ -42,7 +42,7 @@ def test_every_message_is_asked_once_granted_and_measured(converse):
         assert rate.mean_hz == pytest.approx(wanted[name], rel=0.02)
     assert found["HIGHRES_IMU"].measured_hz == pytest.approx(200.0, rel=0.01)
     assert [len(flight.asked(name)) for name in wanted] == [1] * 8
-    assert flight.told == [("info", "adopted vehicle 1/1 (ARDUPILOTMEGA)")]
+    assert flight.events == [("info", "adopted vehicle 1/1 (ARDUPILOTMEGA)")]
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ def test_an_imu_message_granted_that_never_comes_is_replaced(converse):
     assert len(flight.texts("does not come")) == 1
 
 
-def test_a_slow_imu_is_not_taken_for_a_silent_one(converse):
+def test_a_slow_imu_is_not_mistaken_for_a_silent_one(converse):
     flight = converse(settings=with_imu_rate(0.5))
     flight.run(60.0)
     assert flight.texts("does not come") == flight.texts("asking again") == []
@@ -147,7 +147,7 @@ def test_one_request_at_a_time_is_under_way(converse):
 
 
 def test_late_answers_to_repeated_requests_are_not_those_of_the_next_one():
-    """A radio link of 1 s there and back: both answers to the first request come, denied."""
+    """A radio link with 1 s round trip: both replies to the first request arrive, denied."""
     intervals = Intervals({"HIGHRES_IMU": 100.0, "ATTITUDE": 10.0})
     sent, on_the_way = [], []
     for now_s in (step * 0.05 for step in range(160)):
@@ -296,7 +296,7 @@ def test_a_restart_is_seen_by_its_clock_and_all_is_asked_anew(converse):
     assert flight.component.timesync.jumps == 1
 
 
-def test_a_vehicle_lost_and_returned_is_asked_anew(converse):
+def test_a_vehicle_lost_and_returned_is_asked_again(converse):
     flight = converse()
     flight.run(20.0)
     flight.cut = True

@@ -86,8 +86,8 @@ def test_all_are_read_and_one_is_set(live, tmp_path, kind, autopilot):
 def test_a_name_that_the_autopilot_has_not_is_missing_from_what_is_read(live, tmp_path):
     async def scenario():
         async with conversation(live, tmp_path) as (client, _):
-            told = await client.read(["INS_NOT_THERE", "INS_ACCOFFS_X"])
-            assert told == {"INS_ACCOFFS_X": ParamValue(0.0)}
+            found = await client.read(["INS_NOT_THERE", "INS_ACCOFFS_X"])
+            assert found == {"INS_ACCOFFS_X": ParamValue(0.0)}
 
     run(scenario)
 
@@ -104,7 +104,7 @@ def test_px4_says_that_it_has_no_such_name(live, tmp_path):
 
 
 def test_lost_requests_and_lost_values_are_asked_for_again(live, tmp_path):
-    """Of each name up to three answers are lost before one comes."""
+    """For each name up to three replies are lost before one arrives."""
     seen = Counter()
 
     def lose(message):
@@ -125,8 +125,8 @@ def test_lost_requests_and_lost_values_are_asked_for_again(live, tmp_path):
     run(scenario)
 
 
-def test_a_late_answer_of_before_is_not_taken_for_the_answer(live, tmp_path):
-    """The old value, told once more after the PARAM_SET, must not look like a refusal."""
+def test_a_late_earlier_reply_is_not_mistaken_for_the_reply(live, tmp_path):
+    """The old value, reported once more after the PARAM_SET, must not look like a refusal."""
 
     async def scenario():
         async with conversation(live, tmp_path) as (client, far):

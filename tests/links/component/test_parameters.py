@@ -211,16 +211,16 @@ def texts_of(component, start_s, seconds):
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "told"),
+    ("name", "value", "reason"),
     [
         (b"AHRS_GATE_NORM", math.nan, "AHRS_GATE_NORM = nan is not in 0.01..50"),
         (b"AHRS_NO", 1.0, "no parameter 'AHRS_NO'; known are AHRS_GATE_NORM, "),
     ],
 )
-def test_a_refusal_is_reported_to_the_ground(component, arrived, name, value, told):
+def test_a_refusal_is_reported_to_the_ground(component, arrived, name, value, reason):
     component.on_message(arrived(set_message(name, value), 255, 190), 1.0)
     (text,) = texts_of(component, 1.0, 20.0).values()
-    assert text.startswith(f"AHRS: PARAM_SET refused: {told}")
+    assert text.startswith(f"AHRS: PARAM_SET refused: {reason}")
 
 
 def test_a_value_that_is_taken_makes_no_text(component, arrived):

@@ -1,4 +1,4 @@
-"""An autopilot that restarts, whose clock jumps, that comes and goes."""
+"""An autopilot that restarts, jumps in time, disappears and returns."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""STATUSTEXT: chunks, the rate of texts, what is said again."""
+"""STATUSTEXT: chunks, the rate of texts, repeated texts."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""The trim is asked for until it is told, of ArduPilot alone."""
+"""The trim is requested until it is reported, from ArduPilot only."""
 
 import itertools
 

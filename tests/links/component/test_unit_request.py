@@ -1,4 +1,4 @@
-"""The board's number is asked for where a calibration may hang on it, until it is told."""
+"""The board's number is requested where a calibration may depend on it, until it is reported."""
 
 import itertools
 
@@ -77,7 +77,7 @@ def test_its_name_is_that_of_uid2_else_uid(uid, uid2, name):
     ],
 )
 def test_recordings_tell_it(name, unit, shared):
-    """ArduPilot's uid2 ends in zeros, PX4's sys_uuid has all 18 bytes; old logs tell nothing.
+    """ArduPilot's uid2 ends in zeros, PX4's sys_uuid has all 18 bytes; old logs have neither.
 
     The first two are of one day and one board: its DataFlash log writes the number by words.
     """

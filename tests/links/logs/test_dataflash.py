@@ -239,7 +239,7 @@ def test_old_parameters_have_no_time(tmp_path):
     ],
 )
 def test_the_sign_of_the_trim_is_the_autopilots(name, limit_deg, shared):
-    """At rest the turned force is vertical in the autopilot's attitude; unturned it is not."""
+    """At rest the rotated force is vertical in the autopilot's attitude; unrotated it is not."""
     recording = read_dataflash(shared / "flights" / name)
     reference, rows = recording.references[0], of_kind(recording, Kind.IMU)
     trims = of_kind(recording, Kind.TRIM)["trim_rad"]
@@ -250,7 +250,7 @@ def test_the_sign_of_the_trim_is_the_autopilots(name, limit_deg, shared):
     down = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
 
     def lean_deg(sign: float) -> float:
-        """Mean angle between the force, turned by so much of the trim, and the vertical."""
+        """Mean angle between the vertical and the force rotated by this share of the trim."""
         q = quaternion_columns([[sign * roll, sign * pitch, 0.0]])[0]
         turn = np.empty((3, 3))
         matrix(q, turn)

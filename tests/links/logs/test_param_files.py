@@ -130,6 +130,6 @@ def test_what_is_no_text_or_not_there_is_reported(tmp_path):
 def test_an_existing_file_is_not_overwritten(tmp_path):
     path = tmp_path / "a.param"
     write_param_file(path, {"A": ParamValue(1.0)}, "mission-planner")
-    with pytest.raises(ParamFileError, match="is there already"):
+    with pytest.raises(ParamFileError, match="already exists"):
         write_param_file(path, {"A": ParamValue(2.0)}, "mission-planner")
     assert read_param_file(path) == {"A": ParamValue(1.0)}

@@ -164,7 +164,7 @@ def test_the_command_waits_for_a_listener_that_calls(tmp_path: Path) -> None:
 
     def listen() -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
-            # Not connected: a refused call must not hide the answer to the one before.
+            # Not connected: a refused call must not hide the reply to the previous one.
             sock.settimeout(0.05)
             while len(got) < 2 and not finished.is_set():
                 sock.sendto(b"hello", ("127.0.0.1", port))

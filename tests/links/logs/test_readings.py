@@ -80,7 +80,7 @@ def test_sender_autopilot_airspeed_and_velocity() -> None:
     assert reading_of(attitude(1, 0.0)) is None
 
 
-def test_a_receiver_tells_speed_and_course_over_ground() -> None:
+def test_a_receiver_reports_speed_and_course_over_ground() -> None:
     row = reading_of(gps())
     assert (row["kind"], row["time_ns"]) == (Kind.GPS, 9_000_000_000)
     north, east, down = row["velocity_ned_m_s"]

@@ -13,7 +13,7 @@ FIX_FORMAT = fmt(0x91, "GPS", "QBIHfff", "TimeUS,Status,GMS,GWk,Spd,GCrs,VZ")
 
 
 def log_with_fixes(rate, seconds, tmp_path, jitter_ms=0.0, first_ms=604_790_000):
-    """A log of `seconds` by its own clock, in each of which `rate` of the satellites pass."""
+    """A log of `seconds` on its own clock, each of which lasts `rate` GPS seconds."""
     rng = np.random.default_rng(5)
     records = []
     for n in range(50 * seconds):
@@ -48,7 +48,7 @@ def test_a_quartz_or_a_short_log_keeps_its_own_time(rate, seconds, tmp_path):
     assert not any("satellites" in note for note in recording.notes)
 
 
-def test_time_of_the_week_that_stands_still_tells_no_rate(tmp_path):
+def test_a_constant_time_of_the_week_gives_no_rate(tmp_path):
     assert log_with_fixes(0.0, 120, tmp_path).clock_rate == 1.0
 
 

@@ -1,4 +1,4 @@
-"""What a .tlog says of itself: no IMU, raw counts, a course to be doubted, a trim."""
+"""Notes on a .tlog: no IMU, raw counts, a doubtful course, a trim."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""The references that a .tlog contains, and the clock they are told in."""
+"""The references that a .tlog contains, and their clock."""
 
 from pathlib import Path
 from typing import Any
@@ -111,7 +111,7 @@ def test_a_second_autopilot_has_its_references_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "limit_deg"),
     [
-        # Tilted by 11 deg: a wrong sign would show 22 deg; the autopilot's trim is within 5.
+        # Tilted by 11 deg: a wrong sign would give 22 deg; the autopilot's trim is within 5.
         ("bench_copter_2021-11-23_static_44min_1hz", 5.0),
         ("umn_thor75_fixedwing_50hz_reencoded", 1.0),
     ],

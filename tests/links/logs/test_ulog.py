@@ -1,4 +1,4 @@
-"""ULog: what PX4 logs becomes readings in SI units, damage is told, other files are refused."""
+"""ULog: PX4 logs become readings in SI units, damage is reported, other files are refused."""
 
 import struct
 from pathlib import Path
@@ -168,7 +168,7 @@ def test_velocities_of_a_receiver_with_a_fix_and_of_the_filter_are_separated(nam
     assert local["velocity_ned_m_s"].tolist() == [7.0, 2.0, 3.0]
 
 
-def test_a_receiver_without_a_fix_tells_no_velocity(shared):
+def test_a_receiver_without_a_fix_gives_no_velocity(shared):
     readings = read_ulog(shared / "flights" / "px4_fmuv6c_quad_222hz.ulg").readings
     assert np.count_nonzero(readings["kind"] == Kind.GPS) == 0
 

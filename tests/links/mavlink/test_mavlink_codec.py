@@ -1,4 +1,4 @@
-"""Frames to messages and back, whatever the bytes; pymavlink itself is the oracle."""
+"""Frames to messages and back, for any bytes; pymavlink itself is the oracle."""
 
 import struct
 from itertools import pairwise
@@ -96,7 +96,7 @@ def test_what_is_packed_is_decoded(frame: bytes, system: int, component: int) ->
     assert repr(again.to_dict()) == repr(message.to_dict())
 
 
-def test_the_encoder_counts_its_frames_and_speaks_mavlink_2() -> None:
+def test_the_encoder_counts_its_frames_and_uses_mavlink_2() -> None:
     encoder = Encoder(3, 191)
     packed = [encoder.pack(HEARTBEAT) for _ in range(300)]
     assert all(frame[0] == 0xFD for frame in packed)
@@ -231,7 +231,7 @@ def test_frames_that_ask_for_an_unknown_feature_are_refused() -> None:
 
 
 class LinkSeven:
-    """A signer that takes frames of link id 7 and appends a block of its own."""
+    """A signer that accepts frames of link id 7 and appends its own block."""
 
     def sign(self, frame: bytes) -> bytes:
         return frame + b"\x07" + bytes(12)

@@ -42,7 +42,7 @@ def signer(link_id: int = 1, clock: Any = None, key: bytes = KEY, **options: Any
 
 
 def peer(sign: bool, timestamp: int = NOW, link_id: int = 7) -> Any:
-    """pymavlink as the other end, judging and signing by its own code."""
+    """pymavlink as the other end, checking and signing with its own code."""
     link = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
     link.signing.secret_key = KEY
     link.signing.sign_outgoing = sign

@@ -72,7 +72,7 @@ def test_a_far_end_that_does_not_read_costs_whole_frames_only(kind: str, tmp_pat
         async with joined(kind, tmp_path) as (link, far, _):
             accepted = []
             for i in range(200_000):
-                # An odd length, so that the system takes some frame in part.
+                # An odd length, to make the system accept some frame in part.
                 odd = frame(i) + b"tail of it"[: 1 + i % 9]
                 if link.send(odd):
                     accepted.append(odd)

@@ -90,7 +90,7 @@ def test_udpout_takes_from_its_address_only(tmp_path: Path) -> None:
     run(scenario())
 
 
-def test_tcpin_turns_a_second_client_away_unless_the_first_is_silent(
+def test_tcpin_refuses_a_second_client_unless_the_first_is_silent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def scenario() -> None:

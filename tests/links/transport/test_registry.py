@@ -1,4 +1,4 @@
-"""URIs: what is understood, and what is said about the rest; the example configurations."""
+"""URIs: valid ones, errors for the rest; the example configurations."""
 
 import asyncio
 import contextlib

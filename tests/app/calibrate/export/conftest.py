@@ -21,7 +21,7 @@ from tests.hang import HANG_S
 
 
 def unit(**fields):
-    """A unit with drift of both triads, and what no autopilot carries: scale over temperature."""
+    """A unit with drift of both triads and, in no autopilot's model, scale over temperature."""
     breaks = np.linspace(-10.0, 60.0, 15)
 
     def curve(size):

@@ -14,7 +14,7 @@ def test_a_file_and_back_is_the_same_calibration_of_the_autopilot(folder, capsys
     words = ["calibrate", "export", "unit.toml", "--autopilot", "ardupilot", "--param", "a.param"]
     assert cli.main(words) == 0
     assert cli.main(words) == 1
-    assert "is there already" in text_of(capsys)
+    assert "already exists" in text_of(capsys)
     assert cli.main(["calibrate", "import", "a.param", "--out", "b.toml", "--serial", "B"]) == 0
     assert "do not give it to the service" in text_of(capsys)
     read = calibration_file.load("b.toml")
@@ -96,7 +96,7 @@ def test_a_real_recording_s_parameters_and_who_reported_them(folder, shared, cap
     flights = shared / "flights"
     log = flights / "bench_cuav_2021-12-08_static_warmup_2hz.tlog"
     assert cli.main(["calibrate", "import", str(log), "--imu", "2", "--out", "a.toml"]) == 0
-    assert "as 255/190 tells them, not the vehicle itself" in text_of(capsys)
+    assert "as reported by 255/190, not the vehicle itself" in text_of(capsys)
     read = calibration_file.load("a.toml")
     assert read.imu == 1
     assert read.accel.bias[0] == pytest.approx(0.39934, abs=1e-5)

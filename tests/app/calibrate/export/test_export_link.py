@@ -70,7 +70,7 @@ def test_an_import_over_a_link_is_what_the_autopilot_does(live, folder, capsys):
 
 
 def test_a_signed_link(live, folder, capsys, monkeypatch):
-    """Both ends hold the key; with another nobody is heard."""
+    """Both ends hold the key; with another key no frame is accepted."""
     (folder / "key.toml").write_text('[link]\nsigning_key = "open sesame"\n')
     signer = Signer(key_from_text("open sesame"), 0)
 

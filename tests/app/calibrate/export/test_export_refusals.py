@@ -1,4 +1,4 @@
-"""Exports that are interrupted, lost, clamped or refused: nothing is left half in force."""
+"""Exports that are interrupted, lost, clamped or refused: nothing is left half applied."""
 
 import asyncio
 
@@ -55,8 +55,8 @@ def test_two_autopilots_on_a_link_need_a_choice(live, folder, capsys):
     assert "written and read back" in printed
 
 
-def test_an_interruption_tells_how_far_it_came(live, folder, capsys):
-    """As by Ctrl-C, which cancels what runs."""
+def test_an_interruption_reports_its_progress(live, folder, capsys):
+    """As by Ctrl-C, which cancels the running task."""
     said = []
 
     async def scenario():
