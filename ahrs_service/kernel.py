@@ -13,7 +13,7 @@ from typing import Any, Final, TypeVar, cast
 
 import numba
 
-from ahrs_service.kernel_part import Entry, Part
+from ahrs_service.kernel_part import Entry
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _ROOT: Final = Path(__file__).resolve().parent
@@ -76,8 +76,7 @@ def _compiled(function: _Function, into_callers: bool) -> _Function:
         "forceinline": into_callers,
         "no_cfunc_wrapper": True,
     }
-    entry = Entry(function, targetoptions=options)
-    entry.part = Part(cast(FunctionType, function), options)
+    entry = Entry(cast(FunctionType, function), options)
     entry.part.enable_caching()
     entry.enable_caching()
     return cast(_Function, entry)

@@ -11,7 +11,7 @@ import llvmlite.binding as llvm
 from numba.core import types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler, CompileResult
+from numba.core.compiler import Compiler, CompileResult, Flags
 from numba.core.environment import lookup_environment
 from numba.core.registry import CPUDispatcher
 
@@ -95,6 +95,10 @@ class _Loader:
 
 
 class _PartCacheImpl(CompileResultCacheImpl):
+    def reduce(self, cres: Any) -> Any:
+        # To write out the type of every variable takes longer than all else.
+        return super().reduce(cres._replace(type_annotation=""))
+
     def rebuild(self, target_context: Any, payload: Any) -> Any:
         loaded = CompileResult._rebuild(_Loader(target_context), *payload)
         return loaded._replace(target_context=target_context)
@@ -104,8 +108,38 @@ class _PartCache(FunctionCache):
     _impl_class = _PartCacheImpl
 
 
-class _PartCompiler(Compiler):
-    """numba's compiler, writing to a library of a part."""
+class _Flags(Flags):
+    """numba's options of a function, compared by what was set.
+
+    They are compared at every call that is compiled, and numba collects all thirty at each.
+    """
+
+    __slots__ = ()
+
+    def __hash__(self) -> int:
+        return _HASH_OF_FLAGS
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Flags):
+            return NotImplemented
+        said, heard = self._values, other._values
+        return said == heard or all(
+            getattr(self, name) == getattr(other, name) for name in said.keys() | heard.keys()
+        )
+
+
+_HASH_OF_FLAGS: Final = hash(Flags())
+
+
+class _EntryCompiler(Compiler):
+    """numba's compiler, with options that compare quickly."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*(_Flags(each) if type(each) is Flags else each for each in arguments))
+
+
+class _PartCompiler(_EntryCompiler):
+    """The same, writing to a library of a part."""
 
     def _compile_bytecode(self) -> Any:
         state = self.state
@@ -141,7 +175,9 @@ class Part(CPUDispatcher):
 class Entry(CPUDispatcher):
     """A kernel as Python calls it; other kernels are handed `part` in its place."""
 
-    part: Part
+    def __init__(self, function: FunctionType, targetoptions: dict[str, Any]) -> None:
+        super().__init__(function, targetoptions=targetoptions, pipeline_class=_EntryCompiler)
+        self.part = Part(function, targetoptions)
 
     @property
     def _numba_type_(self) -> Any:
