@@ -149,7 +149,7 @@ class _PartCompiler(_EntryCompiler):
 
 def _plain(kind: Any) -> Any:
     """Return the type of a number where `kind` is that of one literal number."""
-    return types.unliteral(kind)  # type: ignore[no-untyped-call]
+    return types.unliteral(kind)
 
 
 class Part(CPUDispatcher):
