@@ -12,14 +12,13 @@ from types import FunctionType
 from typing import Any, Final, TypeVar, cast
 
 import numba
-from numba.core import types
-from numba.core.registry import CPUDispatcher
+
+from ahrs_service.kernel_part import Entry
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _ROOT: Final = Path(__file__).resolve().parent
 _MARK: Final = b"from ahrs_service.kernel import "
-_PART_OPT: Final = 1
-_CONSTANTS: Final = ("constants.py", "records.py", "kernel.py")
+_CONSTANTS: Final = ("constants.py", "records.py", "kernel.py", "kernel_part.py")
 
 
 def _kernel_sources() -> list[Path]:
@@ -77,60 +76,7 @@ def _compiled(function: _Function, into_callers: bool) -> _Function:
         "forceinline": into_callers,
         "no_cfunc_wrapper": True,
     }
-    part = _Part(_renamed(function), targetoptions={**options, "no_cpython_wrapper": True})
-    entry = _Entry(function, targetoptions=options)
-    entry.part = part
-    part.enable_caching()
+    entry = Entry(cast(FunctionType, function), options)
+    entry.part.enable_caching()
     entry.enable_caching()
     return cast(_Function, entry)
-
-
-def _renamed(function: _Function) -> FunctionType:
-    """Return the same function under another name, as the cache goes by names."""
-    copy = FunctionType(
-        function.__code__,
-        function.__globals__,
-        function.__name__,
-        function.__defaults__,
-        function.__closure__,
-    )
-    copy.__module__ = function.__module__
-    copy.__qualname__ = f"{function.__qualname__}.part"
-    return copy
-
-
-def _plain(kind: Any) -> Any:
-    """Return the type of a number where `kind` is that of one literal number."""
-    return types.unliteral(kind)  # type: ignore[no-untyped-call]
-
-
-class _Part(CPUDispatcher):
-    """A kernel as other kernels call it: with no way in from Python, which took a third longer.
-
-    What calls it is optimised with it as a whole, so that little of that is done here. Compiled
-    for the types of its arguments alone: numba would do so for each literal number again.
-    """
-
-    def compile(self, sig: Any) -> Any:
-        """Compile or load what `sig` names."""
-        before = numba.config.OPT  # type: ignore[attr-defined]
-        numba.config.OPT = _PART_OPT  # type: ignore[attr-defined]
-        try:
-            return super().compile(sig)
-        finally:
-            numba.config.OPT = before  # type: ignore[attr-defined]
-
-    def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Resolve a call out of a kernel."""
-        plain = {name: _plain(kind) for name, kind in dict(kws).items()}
-        return super().get_call_template(tuple(_plain(kind) for kind in args), plain)
-
-
-class _Entry(CPUDispatcher):
-    """A kernel as Python calls it; other kernels are handed `part` in its place."""
-
-    part: Any
-
-    @property
-    def _numba_type_(self) -> Any:
-        return self.part._numba_type_

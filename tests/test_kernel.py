@@ -68,6 +68,8 @@ def test_every_kernel_source_has_its_say_and_no_other(copy):
         "ahrs_service/intake.py",
         "ahrs_service/constants.py",
         "ahrs_service/records.py",
+        "ahrs_service/kernel_part.py",
+        "ahrs_service/links/logs/dataflash_tables.py",
     ]
     others = ["ahrs_service/app/cli.py", "ahrs_service/settings.py", "ahrs_service/health.py"]
     first, *changed, last = copy(SCRIPT, copy.root, *compiled, *others)
@@ -146,3 +148,50 @@ def test_a_kernel_called_by_a_kernel_has_no_way_in_from_python_until_python_call
     assert copy(script) == ["3.0", "0", "0", "2.0", "0", "1"]
     names = {path.name.split("-")[0] for path in copy.root.rglob("nested*.nbi")}
     assert names == {"nested.element", "nested.element.part", "nested.outer"}
+
+
+RAISING = """
+import numpy as np
+from ahrs_service.kernel import kernel
+
+
+@kernel
+def refuse(row):
+    if row[0] < 0.0:
+        raise ValueError("below zero", row[0])
+    return row[0]
+
+
+@kernel
+def {caller}(row):
+    return refuse(row) + 1.0
+
+
+print({caller}(np.ones(1)), {caller}.stats.cache_hits.total())
+try:
+    {caller}(-np.ones(1))
+except ValueError as error:
+    print(*error.args)
+"""
+
+
+def test_what_a_part_raises_arrives_compiled_loaded_and_from_another_caller(tmp_path):
+    environment = {
+        **os.environ,
+        "NUMBA_CACHE_DIR": str(tmp_path),
+        "PYTHONPATH": str(PACKAGE.parent),
+    }
+    script = tmp_path / "raising.py"
+
+    def run(caller):
+        script.write_text(RAISING.format(caller=caller))
+        os.utime(script, (1e9, 1e9))
+        command = [sys.executable, str(script)]
+        return subprocess.run(
+            command, env=environment, capture_output=True, text=True, check=True
+        ).stdout.split("\n")
+
+    refused = "below zero -1.0"
+    assert run("outer")[:2] == ["2.0 0", refused]
+    assert run("outer")[:2] == ["2.0 1", refused]
+    assert run("other")[:2] == ["2.0 0", refused]
