@@ -7,7 +7,7 @@ The rules, which the report repeats:
 - roll and pitch errors are differences of Euler angles (ours minus reference, wrapped), without
   the instants where the reference's pitch is beyond 75 deg; the tilt error, the angle between
   both verticals, has no such limit;
-- steady flight is told by the reference's roll and pitch, within 25 deg, and by the gyro: over a
+- steady flight: the reference's roll and pitch stay within 25 deg, and by the gyro: over a
   second to either side a mean rate below 0.15 rad/s, which is no manoeuvre, and a 1-sigma about it
   above 0.02 rad/s, which nothing on the ground has that stands; for at least 2 s;
 - heading error is ours minus reference with its mean taken off, since the reference's north
@@ -69,7 +69,7 @@ class Comparison:
 
     `out_of_reach` instants of the reference had no estimate of phase RUNNING close by,
     `steep` ones had a pitch beyond 75 deg. `lag_s` is how much later the reference shows a
-    motion than we do, NaN where it cannot be told. `heading` is None where it runs free.
+    motion than we do, NaN where it is not known. `heading` is None where it runs free.
     """
 
     compared: int
@@ -130,14 +130,14 @@ def statistics(error: Floats) -> ErrorStatistics:
 
 def motion(estimates: Rows, time_ns: Integers) -> tuple[Floats, Floats]:
     """Norm of the mean rate [M] [rad/s] around each instant, and the 1-sigma about that mean."""
-    turn, wobble = np.zeros(len(time_ns)), np.zeros(len(time_ns))
+    rate, wobble = np.zeros(len(time_ns)), np.zeros(len(time_ns))
     for ours, theirs in pairs(estimates["time_ns"], time_ns):
         piece = estimates[ours]
         piece = piece[np.argsort(piece["time_ns"], kind="stable")]
-        turn[theirs], wobble[theirs] = rate_around(
+        rate[theirs], wobble[theirs] = rate_around(
             piece["time_ns"], piece["rate_rad_s"], time_ns[theirs]
         )
-    return turn, wobble
+    return rate, wobble
 
 
 def rate_around(stamps: Integers, rate: Floats, time_ns: Integers) -> tuple[Floats, Floats]:
@@ -157,7 +157,7 @@ def rate_around(stamps: Integers, rate: Floats, time_ns: Integers) -> tuple[Floa
 
 
 def steady_flight(
-    time_ns: Integers, ned_from_body: Floats, turn: Floats, wobble: Floats
+    time_ns: Integers, ned_from_body: Floats, rate: Floats, wobble: Floats
 ) -> tuple[Mask, float]:
     """Mark [M] the instants of steady flight by the rule above, and give their duration [s]."""
     if len(time_ns) < 2:
@@ -165,7 +165,7 @@ def steady_flight(
     dt_s = np.diff(time_ns) * 1e-9
     calm: Mask = (dt_s > 0.0) & (dt_s < gap_limit(dt_s))
     level = np.abs(euler_columns(ned_from_body)[:, :2]).max(axis=1) < STEADY_ANGLE_RAD
-    level &= (turn < STEADY_RATE_RAD_S) & (wobble > FLOWN_RATE_RAD_S)
+    level &= (rate < STEADY_RATE_RAD_S) & (wobble > FLOWN_RATE_RAD_S)
     calm &= level[:-1] & level[1:]
     edges = np.flatnonzero(np.diff(np.concatenate([[False], calm, [False]]).astype(np.int8)))
     mask = np.zeros(len(time_ns), bool)

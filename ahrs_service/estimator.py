@@ -116,7 +116,7 @@ class Estimator:
     def take(self, readings: Rows) -> Rows:
         """Take `readings` [N] in order; return the estimates [M <= N], one per sample.
 
-        The result is a view that the next call overwrites; `positions` tells for each estimate
+        The result is a view that the next call overwrites; `positions` gives for each estimate
         which reading it came of.
         """
         readings = _as_kernels_take_it(readings, READING_DTYPE)
@@ -249,7 +249,7 @@ def _vector(name: str, value: Sequence[float] | Floats) -> Floats:
 def _check(intake_state: Record, pipeline_state: Record) -> None:
     """Raise StateError for values by which the kernels index and count without a check.
 
-    All else is checked by `alignment.is_sound` at the end of a turn; so that must come.
+    All else is checked by `alignment.is_sound` at the end of an update; so that must come.
     """
     source, vehicle = int(intake_state["source"]), int(intake_state["vehicle"])
     phase, states = int(pipeline_state["phase"]), int(pipeline_state["states"])
@@ -258,7 +258,7 @@ def _check(intake_state: Record, pipeline_state: Record) -> None:
     if not (known and states in _STATES and 0 <= place < HISTORY and update_s >= 0.0):
         raise StateError(
             f"saved state is damaged (IMU source {source}, vehicle {vehicle}, phase {phase}, "
-            f"{states} error states, place {place} in the history, turn of {update_s} s); "
+            f"{states} error states, place {place} in the history, update of {update_s} s); "
             "start from the beginning of the recording instead"
         )
 

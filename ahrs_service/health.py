@@ -1,4 +1,4 @@
-"""What the service says about itself: one state, told when it changes."""
+"""What the service says about itself: one state, reported when it changes."""
 
 from dataclasses import dataclass, field
 from enum import Enum
@@ -26,7 +26,7 @@ _TOLD: Final = {
     Flag.TEMPERATURE_STALE: "IMU temperature stale or frozen",
     Flag.TEMPERATURE_OUT_OF_RANGE: "IMU temperature outside the calibrated range",
     Flag.UNCOMPENSATED: "not compensated: calibration of another IMU, or no temperature",
-    Flag.LOW_RATE: "IMU below 20 Hz: turns between samples are lost",
+    Flag.LOW_RATE: "IMU below 20 Hz: rotation between samples is lost",
 }
 
 

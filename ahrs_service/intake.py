@@ -1,8 +1,8 @@
 """From readings to samples: adopts the vehicle, chooses the IMU, attaches temperature and aiding.
 
-Samples tell how the board stands in the vehicle as soon as its trim is heard. The same kernel takes
-one live reading or a whole recording, so both choose alike. It decides by the readings alone, never
-by a clock.
+Samples carry the board's orientation in the vehicle as soon as its trim is heard. The same kernel
+takes one live reading or a whole recording, so both choose alike. It decides by the readings alone,
+never by a clock.
 """
 
 import math
@@ -92,7 +92,7 @@ _IMU_CHANGED = int(Flag.IMU_CHANGED)
 _TEMPERATURE_STALE = int(Flag.TEMPERATURE_STALE)
 
 _SETTLED_COUNT = 10
-"""A choice: so many readings tell a source's interval."""
+"""A choice: so many readings give a source's interval."""
 _SILENCE_S = 0.25
 """A choice: ten intervals of 40 Hz; slower sources have ten of their own [s]."""
 _TEMPERATURE_SILENCE_S = 10.0
@@ -235,7 +235,7 @@ def _choose(parameters: Record, state: Record, reading: Record) -> tuple[bool, i
 
 @kernel
 def _take_temperature(parameters: Record, state: Record, reading: Record) -> None:
-    """Keep the IMU's own temperature; HIGHRES_IMU's field is another sensor's unless told so."""
+    """Keep the IMU's own temperature; HIGHRES_IMU's is another sensor's unless set."""
     value = reading["temperature_degc"]
     if np.isnan(value):
         return
@@ -276,7 +276,7 @@ def _temperature_is_stale(state: Record, imu: int, received_ns: int) -> bool:
 def _take_velocity(state: Record, reading: Record, rank: int) -> None:
     """Keep a velocity over ground unless a better one was heard in the last three seconds.
 
-    The autopilot's filter can diverge without saying so, and both of its messages tell the same.
+    The autopilot's filter can diverge without saying so, and both of its messages say the same.
     """
     v, received_ns = reading["velocity_ned_m_s"], reading["received_ns"]
     if not (math.isfinite(v[0]) and math.isfinite(v[1])):

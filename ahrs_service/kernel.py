@@ -59,7 +59,7 @@ def kernel(function: _Function) -> _Function:
 def inlined_kernel(function: _Function) -> _Function:
     """Compile as `kernel` does, but into the code of each caller instead of being called.
 
-    For what one caller does at every sample or turn. A call hands over each array as seven numbers
+    For what one caller does at every sample or update. A call passes each array as seven numbers
     and counts the references to it, which took a third of the time of a sample; in many callers
     the code would only grow.
     """
@@ -69,7 +69,7 @@ def inlined_kernel(function: _Function) -> _Function:
 def _compiled(function: _Function, into_callers: bool) -> _Function:
     if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         return function
-    # What is not told is inherited from the caller that is being compiled.
+    # What is not given is inherited from the caller that is being compiled.
     options = {
         "nopython": True,
         "error_model": "numpy",

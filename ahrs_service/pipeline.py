@@ -1,6 +1,6 @@
 """The estimator: one step from a sample to an estimate, and the batch that loops it.
 
-Each sample: compensation > vehicle's axes > strapdown. Each turn (`fusion.propagation`): covariance
+Each sample: compensation > vehicle's axes > strapdown. Each update (fusion.propagation): covariance
 > gate > corrections by gravity, by rest or what bounds the velocity, by the magnetic field, by a
 measured velocity. No clock, no input or output: live service and replay call `batch`, for one
 sample or many, so that the same samples give the same bytes. Three structs: parameters (from
@@ -193,9 +193,9 @@ def _update(
 
 @kernel
 def _summarise(state: Record) -> None:
-    """Keep the sigmas of attitude and bias, which move only when a turn ends.
+    """Keep the sigmas of attitude and bias, which move only when an update ends.
 
-    What the magnetic field corrects after that shows with the next turn: late, never too small.
+    What the magnetic field corrects after that shows with the next update: late, never too small.
     """
     p = state["covariance"]
     for i in range(3):
@@ -206,7 +206,7 @@ def _summarise(state: Record) -> None:
 
 @kernel
 def _write_gate(state: Record, out: Record) -> None:
-    """Write what the gate saw at the last turn; the innovation is turned into body axes."""
+    """Write what the gate saw at the last update; the innovation is rotated into body axes."""
     dcm, metrics, tilt = state["dcm"], state["gate_metrics"], state["tilt_innovation_rad"]
     out["gate_norm_m_s2"] = metrics[0]
     out["gate_rate_rad_s"] = metrics[1]
@@ -275,7 +275,7 @@ def take(
     out: Record,
     nodes: Rows | None,
 ) -> None:
-    """Take one sample; where there are `nodes` [2], the last and the next, note the turn there."""
+    """Take one sample; where there are `nodes` [2], the last and the next, note updates there."""
     gyro, accel = state["gyro_rad_s"], state["accel_m_s2"]
     flags = compensate_sample(coefficients, state, sample)
     rotate_to_vehicle(sample["vehicle_from_board"], gyro)
@@ -301,9 +301,9 @@ def _doubt(settings: Record, state: Record, sample: Record, out: Record) -> None
     """Widen the sigma of an attitude that stands still for want of a rate."""
     since_s = (sample["time_ns"] - state["time_ns"]) * 1e-9
     if since_s > settings["gap_s"]:
-        turned = propagation.GAP_RATE_SIGMA_RAD_S * since_s
+        rotated = propagation.GAP_RATE_SIGMA_RAD_S * since_s
         for i in range(3):
-            sigma = math.hypot(out["attitude_sigma_rad"][i], turned)
+            sigma = math.hypot(out["attitude_sigma_rad"][i], rotated)
             out["attitude_sigma_rad"][i] = min(sigma, math.pi)
 
 
@@ -318,7 +318,7 @@ def _move(
     flags: int,
     nodes: Rows | None,
 ) -> None:
-    """Take one good sample: integrate, and at the end of a turn correct."""
+    """Take one good sample: integrate, and at the end of an update correct."""
     airframe = _airframe(settings, sample)
     velocity_constraints.hear_airspeed(state, sample)
     if settings["use_ground_velocity"] != 0:

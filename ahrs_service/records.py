@@ -75,7 +75,7 @@ class Airframe(IntEnum):
 class Gate(IntFlag):
     """Why the averaged force was not taken for the vertical; 0 is an open gate.
 
-    Judged once per turn, in both modes. While aligning and at rest the force counts all the same.
+    Judged once per update, in both modes. While aligning and at rest the force counts all the same.
     """
 
     OPEN = 0
@@ -141,7 +141,7 @@ READING_DTYPE: Final = np.dtype(
 `received_ns` host clock at receipt, `time_ns` the sender's clock (0 if the message has none). IMU
 readings fill gyro, accel, and where there are new values mag and temperature; a
 `HIGHRES_IMU` temperature is the barometer's or the air's, never the IMU's. `trim_rad` [2] about
-x, y turns the board's axes into the vehicle's, NaN leaves one as it was. `autopilot` and `vehicle`
+x, y rotate the board's axes into the vehicle's, NaN leaves one as it was. `autopilot` and `vehicle`
 are HEARTBEAT.autopilot and HEARTBEAT.type.
 """
 
@@ -166,7 +166,7 @@ SAMPLE_DTYPE: Final = np.dtype(
 
 `time_ns` sensor clock, `gyro_rad_s` [3] angular rate [rad/s], `accel_m_s2` [3] specific force
 [m/s^2] (level at rest: z = -9.81), both as the sensor gave them, in the board's axes;
-`vehicle_from_board` [3, 3] turns these into the vehicle's, NaN where they are the same;
+`vehicle_from_board` [3, 3] rotates these into the vehicle's, NaN where they are the same;
 `temperature_degc` of the IMU itself [degC], last known; `mag_ut` [3] in the vehicle's axes.
 """
 
@@ -199,7 +199,7 @@ ESTIMATE_DTYPE: Final = np.dtype(
 also free of the estimated bias; `attitude_sigma_rad` [3] 1-sigma of the error angle about north,
 east, down; `residual_m_s2` [3] measured specific force minus that of gravity alone, body axes;
 `innovation_rad` [3] tilt innovation about body axes; the `gate_*` columns are the values that the
-gate compared at the end of the last turn (f averaged in earth axes, w smoothed): abs(norm(f) - g0),
+gate compared at the end of the last update (mean f in earth axes, w smoothed): abs(norm(f) - g0),
 norm(w), norm(dw/dt), and the normalised innovation (sigmas).
 """
 

@@ -1,6 +1,6 @@
 """Rotations: quaternion kernels and column helpers.
 
-Convention, stated once: `ned_from_body` is a Hamilton quaternion (w, x, y, z) that turns body
+Convention, stated once: `ned_from_body` is a Hamilton quaternion (w, x, y, z) that rotates body
 coordinates (forward, right, down) into earth coordinates (north, east, down):
 v_ned = q * v_body * conj(q). Euler angles are intrinsic Z-Y-X: yaw, then pitch, then roll [rad].
 """

@@ -30,7 +30,7 @@ def record(
     used: int,
     first: int,
 ) -> int:
-    """Do what `pipeline.batch` does and keep its turns in `nodes` [at least used + N + 1].
+    """Do what `pipeline.batch` does and keep its updates in `nodes` [at least used + N + 1].
 
     `first` is the number of the first of `samples` [N]. Return the new `used`, 1 at first.
     """
@@ -42,7 +42,7 @@ def record(
 
 
 class Smoother:
-    """Runs the filter and remembers what the way back needs: 3.1 kB per turn, 110 MB an hour."""
+    """Runs the filter and remembers what the way back needs: 3.1 kB per update, 110 MB an hour."""
 
     def __init__(self) -> None:
         self._nodes = np.zeros(_MIN_NODES, smoother_history.NODE_DTYPE)
@@ -72,7 +72,7 @@ class Smoother:
         self._samples += len(samples)
 
     def cut(self) -> None:
-        """Let nothing that comes now tell of what was before: another state was loaded."""
+        """Keep what comes now from correcting what was before: another state was loaded."""
         self._nodes = np.append(self._nodes[: self._used], np.zeros(1, smoother_history.NODE_DTYPE))
         self._used += 1
 

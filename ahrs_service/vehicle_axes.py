@@ -44,7 +44,7 @@ def take_trim(state: Record, reading: Record) -> None:
 
 @kernel
 def write_axes(state: Record, sample: Record) -> None:
-    """Tell how the board stands, NaN where its axes are the vehicle's; turn the magnetic field.
+    """Write the board's orientation, NaN where its axes are the vehicle's; rotate the field.
 
     Rate and force stay in the board's axes, in which the sensor's calibration holds.
     """

@@ -1,11 +1,11 @@
-"""How late a magnetometer is, told by turning.
+"""How late a magnetometer is, estimated while the vehicle rotates.
 
 A reading m that comes a lag tau after it was taken belongs to the attitude of then. In earth axes,
-with D = C (w x m) [uT/s] by which the reading turns,
+with D = C (w x m) [uT/s] by which rotation changes the reading,
 
     E = C(t - tau) m = C m - tau D
 
-From one turn of the filter to the next the field E and its disturbances hardly change, so
+From one update of the filter to the next the field E and its disturbances hardly change, so
 e2 - e1 = tau (D2 - D1) + (C2 - C1) b, b the hard iron. 15 ms of lag turn the azimuth by 9 deg in a
 turn at 10 rad/s, always one way.
 """
@@ -26,7 +26,7 @@ LAG_FIELDS: Final = [
     ("lag_before_turning_ut_s", "f8", 3),
     ("lag_before_dcm", "f8", (3, 3)),
 ]
-"""Fields of the pipeline's state: tau and its variance; whether there are means of a turn before
+"""Fields of the pipeline's state: tau and its variance; whether there are means of an update before
 (its length [s], else 0), and they."""
 
 LAG_SIGMA_S: Final = 0.03
@@ -36,11 +36,11 @@ LAG_LARGEST_S: Final = 0.2
 LAG_WALK_S_RTS: Final = 2e-4
 """The beat of two clocks; 1.5 ms in a minute [s per sqrt(s)]."""
 READING_SIGMA_UT: Final = 1.0
-"""Of the mean of a turn: noise, scale, what changes from place to place [uT]."""
+"""Of the mean of an update: noise, scale, what changes from place to place [uT]."""
 LONGEST_S: Final = 0.5
 """Turns further apart see the field of different places [s]."""
 OUTLIER: Final = 4.0
-"""Noise exceeds so many times its mean square, over three axes, in one turn of 500."""
+"""Noise exceeds so many times its mean square, over three axes, in one update of 500."""
 
 
 @kernel
@@ -55,7 +55,7 @@ def start(state: Record) -> None:
 def learn(
     state: Record, field_ned: Floats, turning_ned: Floats, dcm: Floats, share: float, dt_s: float
 ) -> None:
-    """Correct tau by sums over a turn of field, its turning (earth axes) and matrix.
+    """Correct tau by sums over an update: field, its change by rotation (earth axes) and matrix.
 
     Squares are summed over the axes and weigh as a whole, so that north may be anywhere.
     """

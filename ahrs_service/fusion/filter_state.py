@@ -27,7 +27,7 @@ FILTER_FIELDS: Final = [
 ]
 """Fields of the pipeline's state: what is estimated, how many error states are in use with their
 covariance; the last two: what was corrected since the covariance last grew, and how far all was
-turned about down [rad]."""
+rotated about down [rad]."""
 
 HEADING_SIGMA_RAD: Final = math.pi
 """Of a heading that nothing was known about [rad]."""

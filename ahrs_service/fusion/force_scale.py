@@ -58,7 +58,7 @@ def start(settings: Record, state: Record, airframe: int) -> None:
 
 @inlined_kernel
 def learn(settings: Record, state: Record, airframe: int, dt_s: float) -> None:
-    """Correct the scale by the mean force of a quiet turn."""
+    """Correct the scale by the mean force of a quiet update."""
     walk_rts = WALK_SHARE_RTS * sigma_of(settings, airframe)
     state["force_scale_variance"] += walk_rts * walk_rts * dt_s
     force, rate = state["mean_force_m_s2"], state["smooth_rate_rad_s"]

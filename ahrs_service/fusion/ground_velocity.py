@@ -51,7 +51,7 @@ LAG_SIGMA_S: Final = 0.15
 LAG_MAX_S: Final = 1.0
 """A choice: what is learnt is cut here; with VALID_NS it stays within the 3.8 s of HISTORY [s]."""
 SLOPE_NS: Final = 50_000_000
-"""A choice: the slope of the velocity is taken over this; below half of a turn of 0.12 s [ns]."""
+"""A choice: the slope of the velocity is taken over this; below half an update of 0.12 s [ns]."""
 OUTLIER_SIGMA: Final = 4.0
 """Noise of 3 axes, 5 times a second, exceeds it once in 18 min; beyond, the weight falls."""
 TILT_SIGMA_RAD: Final = 0.15
@@ -78,7 +78,7 @@ MATCH_COUNT: Final = 4.0
 MATCH_LEFT_M_S: Final = 2.0
 """A velocity whose changes are not ours to this is not used, after so many of them [m/s]."""
 COMPASS_RAD: Final = 0.5
-"""Where the velocity tells another heading than the compass, it is not used either [rad]."""
+"""Where the velocity gives another heading than the compass, it is not used either [rad]."""
 PULLED_RAD: Final = 0.3
 """A choice: 17 deg are added to the tilt of a filter that lost its heading [rad]."""
 SURPRISE_LIMIT: Final = 8.0
@@ -117,7 +117,7 @@ def is_fresh(state: Record) -> bool:
 
 @kernel
 def remember(state: Record) -> None:
-    """Remember the velocity at the end of a turn."""
+    """Remember the velocity at the end of an update."""
     n = state["history_next"]
     state["history_time_ns"][n] = state["time_ns"]
     for i in range(3):
@@ -168,7 +168,7 @@ def _let_go(state: Record) -> None:
 
 @kernel
 def _velocity_at(state: Record, time_ns: int) -> tuple[bool, Velocity]:
-    """Whether a past time lies between two turns that are remembered, and the velocity then."""
+    """Whether a past time lies between two updates that are remembered, and the velocity then."""
     times, v = state["history_time_ns"], state["history_m_s"]
     after = (state["history_next"] - 1) % HISTORY
     for _ in range(HISTORY - 1):
@@ -255,7 +255,7 @@ def _begin(state: Record, heading_sigma_rad: float) -> None:
 
 @kernel
 def _lose_heading(state: Record) -> None:
-    """Go on without the measured velocity until it tells a heading that agrees with it."""
+    """Go on without the measured velocity until it gives a heading that agrees with it."""
     _let_go(state)
     heading.take_source(state, heading.NONE)
     state["course_doubted"] = 1
@@ -288,23 +288,23 @@ def _match(state: Record, then: Velocity) -> None:
 
 @kernel
 def _begin_if_it_agrees(state: Record, airframe: int) -> None:
-    """Begin to use the velocity where its changes are ours, turned by the heading or as known."""
+    """Begin to use the velocity where its changes are ours, rotated by the heading or as known."""
     v, match = state["measured_velocity_m_s"], state["match"]
     strength, angle = math.hypot(match[0], match[1]), math.atan2(match[1], match[0])
-    # What is left of the changes when ours are turned as fits best.
+    # What is left of the changes when ours are rotated as fits best.
     left = match[2] + match[3] - 2.0 * strength
     if match[4] < MATCH_COUNT or left > MATCH_LEFT_M_S**2 * match[4]:
         return
     # The angle of a complex correlation r over n pairs has the variance (1 - r^2) / (2 n r^2).
     common2, all2 = strength * strength, match[2] * match[3]
     known = all2 - common2 < 2.0 * match[4] * MATCH_KNOWN_RAD**2 * common2
-    told = known and strength > MATCH_ENOUGH_M2_S2
+    matches = known and strength > MATCH_ENOUGH_M2_S2
     is_fast = v[0] * v[0] + v[1] * v[1] > COURSE_SPEED_M_S**2
-    if told and state["heading_source"] != heading.NONE and abs(angle) < COMPASS_RAD:
+    if matches and state["heading_source"] != heading.NONE and abs(angle) < COMPASS_RAD:
         _begin(state, 0.0)
     elif state["heading_source"] == heading.FIELD:
         return
-    elif told:
+    elif matches:
         _rotate_heading(state, angle, MATCH_SIGMA_RAD)
     elif airframe == _FIXED_WING and is_fast and state["course_doubted"] == 0:
         nose = math.atan2(state["dcm"][1, 0], state["dcm"][0, 0])
@@ -313,7 +313,7 @@ def _begin_if_it_agrees(state: Record, airframe: int) -> None:
 
 @kernel
 def _rotate_heading(state: Record, angle_rad: float, sigma_rad: float) -> None:
-    """Turn to a heading that was found; what is to be corrected turns along."""
+    """Rotate to a heading that was found; pending corrections rotate along."""
     mekf.settle(state)
     mekf.rotate_about_down(state, angle_rad)
     correction, c, s = state["correction"], math.cos(angle_rad), math.sin(angle_rad)

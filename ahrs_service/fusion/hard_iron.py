@@ -1,6 +1,6 @@
-"""A magnet that turns with the sensor, told from the Earth's field by turning.
+"""Hard iron, which rotates with the sensor, separated from the Earth's field by rotation.
 
-In earth axes a reading is e = E + C b: the field E stands still, hard iron b [uT] turns with the
+In earth axes a reading is e = E + C b: the field E stands still, hard iron b [uT] rotates with the
 body. From one window to the next e2 - e1 = (C2 - C1) b, whatever E, its norm and the heading are.
 b walks, so that a magnet that is put on or taken off is followed. A field that changes from place
 to place looks like a b as well, so b is used only while the field without it agrees far better

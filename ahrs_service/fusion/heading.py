@@ -1,6 +1,6 @@
 """Heading from the magnetic field: level the field by the tilt, take its azimuth.
 
-The field is averaged in earth axes over a turn. It is trusted the less, the more it differs from
+The field is averaged in earth axes over an update. It is trusted the less, the more it differs from
 the reference, which is the field's part along the meridian (horizontal and down, so norm and dip in
 one), slowly followed while undisturbed. A disturbance from any direction that shows d [uT] in
 those two hides d / sqrt(2) across them, which turns a horizontal field H by d / (sqrt(2) H):
@@ -52,7 +52,7 @@ FIELD_MIN_UT: Final = 20.0
 FIELD_MAX_UT: Final = 70.0
 """The Earth's field at the surface lies between 22 and 67 uT (IGRF-14)."""
 HORIZONTAL_MIN_UT: Final = 1e-3
-"""A field that points straight down tells no heading, but has to leave numbers [uT]."""
+"""A field that points straight down gives no heading, but has to leave numbers [uT]."""
 SENSOR_MAX_UT: Final = 1e4
 """No magnetometer of a vehicle measures more; NaN is not below it either."""
 AZIMUTH_SIGMA_RAD: Final = 0.06
@@ -95,7 +95,7 @@ def first_heading(settings: Record, state: Record, mag: Floats) -> None:
 
 @kernel
 def seek(settings: Record, state: Record, velocity_is_fresh: bool) -> None:
-    """After a turn, let the field tell the heading where nothing does, or a velocity did once."""
+    """After an update, take the heading from the field where nothing or only a velocity gave it."""
     if state["heading_source"] == VELOCITY and velocity_is_fresh:
         begin_average(state)
     elif state["heading_source"] != FIELD:
@@ -104,9 +104,9 @@ def seek(settings: Record, state: Record, velocity_is_fresh: bool) -> None:
 
 @kernel
 def find(settings: Record, state: Record) -> None:
-    """Turn the attitude to the azimuth of the field gathered over a turn, if it is plausible.
+    """Rotate the attitude to the azimuth of the field of an update, if it is plausible.
 
-    A heading that a velocity told stays where it is, and the field corrects it from now on.
+    A heading that a velocity gave stays where it is, and the field corrects it from now on.
     """
     count, field = state["mag_count"], state["mag_field_ut"]
     if count == 0:
@@ -166,7 +166,7 @@ def gather(state: Record, mag: Floats, dt_s: float) -> None:
 
 @kernel
 def correct(settings: Record, state: Record) -> None:
-    """Correct by the field that was gathered over the turn, if there was any."""
+    """Correct by the field averaged over the update, if there was any."""
     if state["heading_source"] == FIELD and state["mag_count"] > 0:
         _take_average(settings, state)
         begin_average(state)
@@ -174,7 +174,7 @@ def correct(settings: Record, state: Record) -> None:
 
 @inlined_kernel
 def _take_average(settings: Record, state: Record) -> None:
-    """Judge the field averaged over the turn and correct the heading by its azimuth."""
+    """Judge the field averaged over the update and correct the heading by its azimuth."""
     share, dt_s = 1.0 / state["mag_count"], min(state["mag_s"], CORRELATION_S)
     field, dcm, iron = state["mag_field_ut"], state["mag_dcm"], state["iron_ut"]
     turning, lag_s = state["mag_turning_ut_s"], state["field_lag_s"]
@@ -262,7 +262,7 @@ def _iron_across2(state: Record, north: float, east: float, share: float) -> flo
 
 @kernel
 def _lag_across2(state: Record, north: float, east: float, share: float) -> float:
-    """Variance of what the lag turns across the field's meridian [uT^2]."""
+    """Variance of what the lag adds across the field's meridian [uT^2]."""
     turning, horizontal2 = state["mag_turning_ut_s"], north * north + east * east
     if horizontal2 == 0.0:
         return 0.0

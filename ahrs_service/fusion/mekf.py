@@ -1,7 +1,7 @@
 """The multiplicative error-state Kalman filter (Lefferts, Markley, Shuster 1982).
 
 The error angle psi is about earth axes: q_true = dq(psi) * q. Every measurement is a scalar, taken
-one after the other into a correction vector that is moved into the state at the end of a turn.
+one after the other into a correction vector that is moved into the state at the end of an update.
 Only the first `states` of the error states are in use; the variances of the others are 0, so that
 the loops over many run over 6 or over all, numbers that the compiler knows.
 """
@@ -33,26 +33,27 @@ MEKF_FIELDS: Final = [
     ("pending", "i8"),
     ("row_sums", "f8", (3, ERROR_STATES)),
 ]
-"""Fields of the pipeline's state that this module keeps: what a turn has corrected so far, h of a
+"""Fields of the pipeline's state that this module keeps: what an update corrected so far, h of a
 measurement h . x, which comes and goes zero, gains whose products the covariance has yet to lose,
 as many as are `pending`, zeros else, and room to work in."""
 
 
 @inlined_kernel
 def propagate(
-    p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats, turned: Floats
+    p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats, sums: Floats
 ) -> None:
     """Propagate the covariance `p` [n, n] over an interval, without noise.
 
     `rotation_s` [3, 3] is the integral of C_nb [s], `rate` [3] the mean measured rate [rad/s],
-    `impulse` [3] the integral of the specific force in earth axes [m/s], `turned` [3, n] room:
+    `impulse` [3] the integral of the specific force in earth axes [m/s], `sums` [3, n] room:
 
         psi' = psi - rotation_s (bias + matrix rate)
         v'   = v + psi x impulse - rotation_s accelerometer_bias
 
-    The rows are turned for all columns; of the columns only where row and column change both.
+    The transition is applied to the rows for all columns; of the columns only where row and column
+    change both.
     """
-    transition_rows(p, states, rotation_s, rate, impulse, turned)
+    transition_rows(p, states, rotation_s, rate, impulse, sums)
     if states > GATED:
         for row in range(3):
             _transition_velocity_of_row(p, row, rotation_s, impulse)
@@ -75,60 +76,58 @@ def propagate(
 
 @inlined_kernel
 def transition_rows(
-    p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats, turned: Floats
+    p: Floats, states: int, rotation_s: Floats, rate: Floats, impulse: Floats, sums: Floats
 ) -> None:
     """Apply the transition to the rows of `p` [n, n] alone: the covariance of after and before."""
     if states > GATED:
-        _transition_velocity_rows(p, rotation_s, impulse, turned)
-        _transition_angle_rows(p, rotation_s, rate, turned)
+        _transition_velocity_rows(p, rotation_s, impulse, sums)
+        _transition_angle_rows(p, rotation_s, rate, sums)
     else:
-        _transition_gated_rows(p, rotation_s, turned)
+        _transition_gated_rows(p, rotation_s, sums)
 
 
-# Sums of rows go to `turned` first: only where what is read is not what is written can the compiler
+# Sums of rows go to `sums` first: only where what is read is not what is written can the compiler
 # take several columns at once.
 
 
 @inlined_kernel
-def _transition_velocity_rows(
-    p: Floats, rotation_s: Floats, impulse: Floats, turned: Floats
-) -> None:
+def _transition_velocity_rows(p: Floats, rotation_s: Floats, impulse: Floats, sums: Floats) -> None:
     v, w = VELOCITY, ACCEL_BIAS
     for i in range(3):
         k, m = (i + 1) % 3, (i + 2) % 3
         a, b = impulse[m], -impulse[k]
         d, e, f = rotation_s[i, 0], rotation_s[i, 1], rotation_s[i, 2]
         for j in range(ERROR_STATES):
-            turned[i, j] = (a * p[k, j] + b * p[m, j]) - (
+            sums[i, j] = (a * p[k, j] + b * p[m, j]) - (
                 d * p[w, j] + e * p[w + 1, j] + f * p[w + 2, j]
             )
     for i in range(3):
         for j in range(ERROR_STATES):
-            p[v + i, j] += turned[i, j]
+            p[v + i, j] += sums[i, j]
 
 
 @inlined_kernel
-def _transition_angle_rows(p: Floats, rotation_s: Floats, rate: Floats, turned: Floats) -> None:
+def _transition_angle_rows(p: Floats, rotation_s: Floats, rate: Floats, sums: Floats) -> None:
     a, b, c = rate[0], rate[1], rate[2]
     for i in range(3):
         n, m = GYRO_BIAS + i, GYRO_MATRIX + 3 * i
         for j in range(ERROR_STATES):
-            turned[i, j] = p[n, j] + (a * p[m, j] + b * p[m + 1, j] + c * p[m + 2, j])
+            sums[i, j] = p[n, j] + (a * p[m, j] + b * p[m + 1, j] + c * p[m + 2, j])
     for i in range(3):
         a, b, c = rotation_s[i, 0], rotation_s[i, 1], rotation_s[i, 2]
         for j in range(ERROR_STATES):
-            p[i, j] -= a * turned[0, j] + b * turned[1, j] + c * turned[2, j]
+            p[i, j] -= a * sums[0, j] + b * sums[1, j] + c * sums[2, j]
 
 
 @inlined_kernel
-def _transition_gated_rows(p: Floats, rotation_s: Floats, turned: Floats) -> None:
+def _transition_gated_rows(p: Floats, rotation_s: Floats, sums: Floats) -> None:
     for i in range(3):
         for j in range(GATED):
-            turned[i, j] = p[GYRO_BIAS + i, j]
+            sums[i, j] = p[GYRO_BIAS + i, j]
     for i in range(3):
         a, b, c = rotation_s[i, 0], rotation_s[i, 1], rotation_s[i, 2]
         for j in range(GATED):
-            p[i, j] -= a * turned[0, j] + b * turned[1, j] + c * turned[2, j]
+            p[i, j] -= a * sums[0, j] + b * sums[1, j] + c * sums[2, j]
 
 
 @inlined_kernel
@@ -302,7 +301,7 @@ def correct_tilt(state: Record, axis: int, variance: float) -> None:
 
 @inlined_kernel
 def apply_correction(state: Record) -> None:
-    """Move the correction into the state; the averaged force turns with the attitude."""
+    """Move the correction into the state; the averaged force rotates with the attitude."""
     correction = state["correction"]
     for i in range(ERROR_STATES):
         state["applied"][i] += correction[i]
@@ -335,7 +334,7 @@ def apply_correction(state: Record) -> None:
 
 @kernel
 def rotate_about_down(state: Record, angle_rad: float) -> None:
-    """Turn all that is told in earth axes: attitude, velocity, force and their covariance."""
+    """Rotate all that is given in earth axes: attitude, velocity, force and their covariance."""
     q, c, s = state["ned_from_body"], math.cos(angle_rad), math.sin(angle_rad)
     multiply(from_rotation_vector(0.0, 0.0, angle_rad), q, q)
     normalise(q)

@@ -38,14 +38,14 @@ showed the number before again, whether it clips or is stuck, and for how long i
 
 @inlined_kernel
 def _find_unobserved(state: Record, raw: Floats, range_rad_s: float) -> bool:
-    """Find axes of the gyro that clip, or stood still while the vehicle turned; whether any is."""
+    """Find axes of the gyro that clip, or stood still while the vehicle rotated; whether any is."""
     before, repeats, blind = (
         state["raw_before_rad_s"],
         state["repeats"],
         state["gyro_is_unobserved"],
     )
     moved = raw[0] != before[0] or raw[1] != before[1] or raw[2] != before[2]
-    turns = raw[0] * raw[0] + raw[1] * raw[1] + raw[2] * raw[2] > TURNING_RAD_S**2
+    rotates = raw[0] * raw[0] + raw[1] * raw[1] + raw[2] * raw[2] > TURNING_RAD_S**2
     found = False
     for i in range(3):
         if raw[i] != before[i]:
@@ -53,8 +53,8 @@ def _find_unobserved(state: Record, raw: Floats, range_rad_s: float) -> bool:
         elif moved:
             repeats[i] += 1
         before[i] = raw[i]
-        # Exactly 0 is an axis of a simulation that nothing turns about.
-        stuck = turns and repeats[i] >= STUCK_SAMPLES and raw[i] != 0.0
+        # Exactly 0 is an axis of a simulation with no rotation about it.
+        stuck = rotates and repeats[i] >= STUCK_SAMPLES and raw[i] != 0.0
         blind[i] = 1 if stuck or abs(raw[i]) >= range_rad_s else 0
         if blind[i] == 0:
             state["unobserved_s"][i] = 0.0

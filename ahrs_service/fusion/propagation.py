@@ -1,6 +1,6 @@
-"""From sample to sample: attitude and velocity move at once, the covariance once per turn.
+"""From sample to sample: attitude and velocity move at once, the covariance once per update.
 
-A turn is about 120 ms long; between turns the integrals that the covariance needs are gathered,
+An update comes about every 120 ms; between updates the integrals that the covariance needs add up,
 so a fast IMU costs little more than a slow one.
 """
 
@@ -51,9 +51,9 @@ PROPAGATION_FIELDS: Final = [
 """Fields of the pipeline's state that this module keeps."""
 
 UPDATE_S: Final = 0.12
-"""Corrections 8 times a second follow what drifts over seconds; shorter turns gain nothing."""
+"""Corrections 8 times a second follow what drifts over seconds; shorter updates gain nothing."""
 GAP_RATE_SIGMA_RAD_S: Final = 1.0
-"""What a small UAV may have turned, per second that no sample came [rad/s]."""
+"""How far a small UAV may have rotated, per second that no sample came [rad/s]."""
 GAP_FORCE_SIGMA_M_S2: Final = 3.0
 """And how it may have accelerated [m/s^2]."""
 ALIASED: Final = 1.0 / 36.0
@@ -81,7 +81,7 @@ def move(
     dt_s: float,
     flags: int,
 ) -> None:
-    """Integrate one sample and gather what it adds to the turn.
+    """Integrate one sample and add it to the integrals of the update.
 
     The rate between two samples is known to half of what it changed, so a slow or irregular
     stream widens the covariance by itself; so does shake (`ALIASED`).
@@ -216,7 +216,7 @@ def _follow_arc(state: Record, accel: Floats, dt_s: float, arc: Floats) -> None:
 
 @inlined_kernel
 def grow(settings: Record, state: Record, degc: float, is_compensated: bool) -> None:
-    """Propagate the covariance over the turn.
+    """Propagate the covariance over the update.
 
     `degc` is the sensor's temperature, NaN if unknown; `is_compensated` whether its drift is taken
     away by a calibration, where there is one.
@@ -256,7 +256,7 @@ def grow(settings: Record, state: Record, degc: float, is_compensated: bool) -> 
 
 @kernel
 def _warmed(state: Record, degc: float) -> float:
-    """By how much the temperature changed since the last turn [degC]."""
+    """By how much the temperature changed since the last update [degC]."""
     if math.isnan(degc):
         return 0.0
     change = abs(degc - state["update_degc"])
@@ -287,7 +287,7 @@ def first_force(state: Record, accel: Floats) -> None:
 
 @kernel
 def begin_update(state: Record) -> None:
-    """Set the turn's integrals to zero."""
+    """Set the update's integrals to zero."""
     state["update_s"] = 0.0
     state["update_angle_variance"] = state["update_shake_variance"] = 0.0
     state["update_velocity_variance"] = 0.0

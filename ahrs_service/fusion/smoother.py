@@ -89,10 +89,10 @@ def _unpack(kept: Floats, p: Floats) -> None:
 
 @kernel
 def _add(second: Floats, first: Floats, out: Floats) -> None:
-    """Two corrections one after the other as one: rotations multiply, velocities turn."""
+    """Two corrections one after the other as one: rotations multiply, velocities rotate."""
     q = np.empty(4)
-    turn = from_rotation_vector(second[0], second[1], second[2])
-    multiply(turn, from_rotation_vector(first[0], first[1], first[2]), q)
+    rotation = from_rotation_vector(second[0], second[1], second[2])
+    multiply(rotation, from_rotation_vector(first[0], first[1], first[2]), q)
     a, b, c = second[0], second[1], second[2]
     u, v, w = first[VELOCITY], first[VELOCITY + 1], first[VELOCITY + 2]
     for i in range(3, ERROR_STATES):
@@ -112,7 +112,7 @@ def _undo(node: Record, after: Floats, ps: Floats, before: Floats) -> None:
     """From the corrected node back to the predicted: `before` leads from that to the smoothed.
 
     Where the wind became a state, the velocity before it was that through the air, v - wind; where
-    a heading was found, all is turned back about down.
+    a heading was found, all is rotated back about down.
     """
     _add(after, node["applied"], before)
     if node["states"] > node["states_before"]:
@@ -170,18 +170,18 @@ def _step_back(
     for i in range(n):
         for j in range(n):
             d[j] += gain[i, j] * before[i]
-    turned = predicted
+    smoothed = predicted
     for i in range(n):
-        turned[i, :n] = 0.0
+        smoothed[i, :n] = 0.0
         for k in range(n):
             x = change[i, k]
             for j in range(n):
-                turned[i, j] += x * gain[k, j]
+                smoothed[i, j] += x * gain[k, j]
     for k in range(n):
         for i in range(n):
             x = gain[k, i]
             for j in range(n):
-                ps[i, j] += x * turned[k, j]
+                ps[i, j] += x * smoothed[k, j]
 
 
 @kernel
@@ -264,7 +264,7 @@ def _fill(
 
 @kernel
 def _write(row: Record, delta: Floats, yaw: float, variance: Floats, field: float) -> None:
-    """Smooth one row: `delta` leads from the estimate to the smoothed, then a turn about down."""
+    """Smooth one row: `delta` leads from estimate to smoothed, then a rotation about down."""
     q, rate = row["ned_from_body"], row["rate_rad_s"]
     multiply(from_rotation_vector(delta[0], delta[1], delta[2]), q, q)
     multiply(from_rotation_vector(0.0, 0.0, yaw), q, q)

@@ -1,6 +1,6 @@
-"""What the filter leaves behind at each turn for the smoother to come back over.
+"""What the filter keeps at each update for the smoother to go back over.
 
-A node is the state at the end of a turn, corrected. The way from node to node is the transition
+A node is the state at the end of an update, corrected. The way from node to node is the transition
 of the covariance (F of `mekf.propagate`, noise included in the variances it ended with), then the
 corrections. A node where the filter began anew is a start: no way leads back from it.
 """
@@ -38,8 +38,8 @@ NODE_DTYPE: Final = np.dtype(
     ]
 )
 """One node, 3.1 kB: the number of its sample; what led to it (transition, predicted variances,
-error states in use, whether they were through the air); the turn about down and the corrections
-applied at its sample, then those that came late, before the next turn ended; its covariance after
+error states in use, whether they were through the air); the rotation about down and the corrections
+applied at its sample, then those that came late, before the next update ended; its covariance after
 all of these, the lower triangle row by row."""
 
 

@@ -62,7 +62,7 @@ def mean_force(
 ) -> None:
     """Mean specific force over an interval, in the body axes at its end, of means of both sensors.
 
-    With a = w dt: f - a x f / 2 + a x (a x f) / 6 is the mean of a force that turns with the body,
+    With a = w dt: f - a x f / 2 + a x (a x f) / 6 is the mean of a force rotating with the body,
     (a0 x f + f0 x a) / 12 sculling (Savage 1998, part 2, two-sample form). All [3]; out may
     not be one of the others.
     """

@@ -43,7 +43,7 @@ def gathering_error(step_s):
     added = np.zeros((len(time_s), 3))
     added[:, 0] = np.cos(4.0 * np.pi * time_s)
     axes = np.tile(np.eye(3), (len(time_s), 1, 1))
-    gathered = integral_means(axes, added, np.diff(time_s), 1)[:, 0]
+    integral = integral_means(axes, added, np.diff(time_s), 1)[:, 0]
     first, last = (round(at / step_s) for at in (0.1, 0.46))
     exact = np.sin(4.0 * np.pi * time_s) / (4.0 * np.pi)
     return abs((integral[last] - integral[first]) - (exact[last] - exact[first]))
