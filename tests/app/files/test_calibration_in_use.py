@@ -224,7 +224,9 @@ def test_a_replay_takes_another_calibration_or_none(live, flight_frames, tmp_pat
     assert "sim-1.toml" in again.summary.calibration
     kept = replay_log(path, Settings())
     assert kept.summary.digest == served.digest, "other settings leave the recorded calibration"
-    with pytest.raises(RecordingError, match=r"no calibration for a unit that does not tell"):
+    with pytest.raises(
+        RecordingError, match=r"no calibration for a unit whose number is not known"
+    ):
         replay_log(path, sensor=SensorSettings(calibration=str(SHIPPED)))
 
 
