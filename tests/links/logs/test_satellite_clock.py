@@ -1,4 +1,4 @@
-"""An autopilot's clock against the satellites' time in its log."""
+"""An autopilot's clock against the GPS time in its log."""
 
 import struct
 
@@ -36,7 +36,7 @@ def test_a_clock_that_the_satellites_contradict_is_not_believed(tmp_path):
     samples = recording.readings[recording.readings["kind"] == Kind.IMU]
     assert np.median(np.diff(samples["time_ns"])) == pytest.approx(1.083 * 20e6, rel=5e-4)
     np.testing.assert_array_equal(samples["time_ns"], samples["received_ns"])
-    assert any("1.083" in note and "satellites" in note for note in recording.notes)
+    assert any("1.083" in note and "GPS time" in note for note in recording.notes)
 
 
 @pytest.mark.parametrize(("rate", "seconds"), [(1.0, 120), (1.0005, 120), (1.083, 20)])
@@ -45,7 +45,7 @@ def test_a_quartz_or_a_short_log_keeps_its_own_time(rate, seconds, tmp_path):
     assert recording.clock_rate == 1.0
     samples = recording.readings[recording.readings["kind"] == Kind.IMU]
     assert set(np.diff(samples["time_ns"])) == {20_000_000}
-    assert not any("satellites" in note for note in recording.notes)
+    assert not any("GPS time" in note for note in recording.notes)
 
 
 def test_a_constant_time_of_the_week_gives_no_rate(tmp_path):
