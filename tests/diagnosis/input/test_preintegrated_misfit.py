@@ -113,7 +113,7 @@ def test_gaps_of_either_begin_anew():
     begins = at_s[:-1][gathered.is_broken]
     assert np.all(((begins > 9.9) & (begins < 13.0)) | ((begins > 19.9) & (begins < 20.51)))
     assert len(begins) > 20
-    np.testing.assert_allclose(preintegrated.misfit[~preintegrated.is_broken], 0.0, atol=2e-5)
+    np.testing.assert_allclose(gathered.misfit[~gathered.is_broken], 0.0, atol=2e-5)
 
 
 def test_a_velocity_reported_seldom_is_compared_at_its_own_instants():
