@@ -19,7 +19,7 @@ AUTOPILOT_INVALID: Final = 8
 def may_adopt(
     system: int, component: int, autopilot: int, wanted_system: int, wanted_component: int
 ) -> bool:
-    """Tell whether a heartbeat is of a vehicle that may be adopted: an autopilot, and the wanted.
+    """Whether a heartbeat comes from a vehicle that may be adopted: the wanted one, an autopilot.
 
     `autopilot` is HEARTBEAT.autopilot; a wanted number of 0 allows any. System 0 is the address of
     all: what calls itself so can be neither asked nor joined.

@@ -183,7 +183,7 @@ def _measure_interval(state: Record, reading: Record) -> None:
 
 @kernel
 def _is_better(state: Record, source: int, received_ns: int) -> bool:
-    """Tell whether `source` should replace the one in use.
+    """Whether `source` should replace the one in use.
 
     It does when the one in use fell silent while `source` went on (else the link did), when
     `source` is at least twice as fast, or when it is of better rank and about as fast.
@@ -202,7 +202,7 @@ def _is_better(state: Record, source: int, received_ns: int) -> bool:
 
 @kernel
 def _is_whole(reading: Record) -> bool:
-    """Tell whether all rates and forces are numbers."""
+    """Whether all rates and forces are numbers."""
     for i in range(3):
         if not (
             math.isfinite(reading["gyro_rad_s"][i]) and math.isfinite(reading["accel_m_s2"][i])
@@ -256,7 +256,7 @@ def _take_temperature(parameters: Record, state: Record, reading: Record) -> Non
 
 @kernel
 def _temperature_is_stale(state: Record, imu: int, received_ns: int) -> bool:
-    """Tell whether the temperature stopped coming, or stopped moving although it used to.
+    """Whether the temperature stopped coming, or stopped moving although it used to.
 
     Frozen means no change for 30 s and for 20 times the mean time between changes so far.
     """

@@ -73,7 +73,7 @@ class Airframe(IntEnum):
 
 
 class Gate(IntFlag):
-    """Why the averaged force was not taken for the vertical; 0 is an open gate.
+    """Why the averaged force was not used as the vertical; 0 is an open gate.
 
     Judged once per update, in both modes. While aligning and at rest the force counts all the same.
     """

@@ -310,7 +310,7 @@ class ViewerSettings:
     memory_mb: _Positive = 200.0
     """History kept for a viewer that connects late [MB]."""
     period_s: _Positive = 0.1
-    """How often what was gathered is sent to the viewer [s]."""
+    """How often new data is sent to the viewer [s]."""
 
 
 @dataclass(frozen=True, slots=True)

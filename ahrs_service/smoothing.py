@@ -1,4 +1,4 @@
-"""Attitude of reference grade after the flight: the filter forward, then back over its tape.
+"""Attitude of reference grade after the flight: the filter forward, then back over its history.
 
 Smoothed is as good as the filter's model is. At the end of a recording both are the same, so one
 that ends at rest is smoothed better than one cut off in a manoeuvre. In the mode "gated" a long

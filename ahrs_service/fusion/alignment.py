@@ -46,7 +46,7 @@ TILT_SIGMA_RAD: Final = 0.5
 MIN_SAMPLES: Final = 3
 """A choice: a mean and a spread need more than two, however short `alignment_s` is set."""
 REST_RATE_SPREAD_RAD_S: Final = 0.02
-"""A vehicle at rest shows a gyro spread below this even on a vibrating ground [rad/s]."""
+"""At rest the gyro's spread is below this even on a vibrating ground [rad/s]."""
 REST_RATE_RAD_S: Final = 0.15
 """Turn-on bias of a consumer MEMS gyro stays below this: 5 deg/s and some reserve [rad/s]."""
 REST_FORCE_ERROR_M_S2: Final = 0.5
@@ -187,7 +187,7 @@ def _speed(settings: Record, airframe: int) -> float:
 def _begin_in_flight(settings: Record, state: Record, airframe: int, speed: float) -> None:
     """Set velocity and its covariance to those of the class; doubt the accelerometer's scale.
 
-    v = C v_body, so its error is that of v_body turned, and psi x v. It may as well be held in a
+    v = C v_body, so its error is that of v_body, rotated, and psi x v. It may as well be held in a
     hand, so the speed is known to itself only. No rest has shown the scale, and a flight seldom
     will: most of the force is along z, so a bias there stands for it.
     """

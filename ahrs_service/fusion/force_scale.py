@@ -1,7 +1,7 @@
-"""The accelerometer's scale, by what it shows of gravity while nothing accelerates the vehicle.
+"""The accelerometer's scale, by what it measures of gravity while nothing accelerates the vehicle.
 
-An autopilot whose accelerometer nobody calibrated shows up to 1 m/s^2 too much: the gates take
-that for an acceleration and stay closed, and the velocity runs away by it. Quiet, which is neither
+An autopilot whose accelerometer nobody calibrated reads up to 1 m/s^2 too high: the gates take
+that as an acceleration and stay closed, and the velocity runs away by it. Quiet, which is neither
 shake nor turn, norm(f) is g0 for a vehicle at rest and on the mean for one that flies, so that
 
     scale <- scale (1 + k (g0 / norm(f) - 1)),    k = V / (V + R)

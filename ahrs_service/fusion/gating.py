@@ -1,4 +1,4 @@
-"""When the accelerometer may be taken for the vertical (Liu et al., sec. 4).
+"""When the accelerometer may be used as the vertical (Liu et al., sec. 4).
 
 A correction is let in only if all hold: abs(norm(f) - g0) < eps_a, norm(w) < eps_w,
 norm(dw/dt) < eps_alpha, the innovation is within its expected size and no axis clips. A rejection

@@ -22,7 +22,7 @@ TURNING_ONE_WAY: Final = 2.0
 LONGEST_AVERAGE_S: Final = 0.5
 """However long a gap was, the sample after it is one sample [s]."""
 DOUBT_RAD_RTS: Final = 0.05
-"""How fast the tilt variance grows while only the innovation speaks against it [rad/sqrt(s)]."""
+"""How fast the tilt variance grows while only the innovation contradicts it [rad/sqrt(s)]."""
 
 _ALIGNING = int(Phase.ALIGNING)
 _RUNNING = int(Phase.RUNNING)
@@ -89,7 +89,7 @@ def _turning_variance(state: Record) -> float:
 
 @kernel
 def correct(settings: Record, state: Record, airframe: int, flags: int) -> None:
-    """Take the averaged force for the vertical while the gates are open, or while aligning.
+    """Use the averaged force as the vertical while the gates are open, or while aligning.
 
     What begins with a turn of a vehicle that flies by its speed is in the air, and aligns by that.
     """

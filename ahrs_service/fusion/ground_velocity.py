@@ -72,7 +72,7 @@ MATCH_ENOUGH_M2_S2: Final = 60.0
 MATCH_KNOWN_RAD: Final = 0.1
 """if what the changes do not share leaves it a 1-sigma of this [rad];"""
 MATCH_SIGMA_RAD: Final = 0.3
-"""taken for three times that: what is late turns the changes of a manoeuvre alike [rad]."""
+"""assumed three times that: a delay rotates all changes of a manoeuvre alike [rad]."""
 MATCH_COUNT: Final = 4.0
 """A choice, with the next; MATCH_APART_S makes it 3.2 s at least."""
 MATCH_LEFT_M_S: Final = 2.0

@@ -7,7 +7,7 @@ those two hides d / sqrt(2) across them, which turns a horizontal field H by d /
 
     variance = sigma^2 + d^2 / (2 H^2) (1 + d^2 / limit^2) + (down / H)^2 tilt variance
 
-A reading belongs to the attitude of when it was taken (`field_lag`); what its lag may be wrong by
+A reading belongs to the attitude of when it was taken (`field_lag`); the uncertainty of its lag
 adds to that. There is no sharp limit, so a heading that has become doubtful itself comes back to
 any field in the end. Without a magnetometer the heading starts at 0 and runs free, with a sigma
 that grows.
@@ -38,7 +38,7 @@ HEADING_FIELDS: Final = [
 ]
 """Fields of the pipeline's state: where the heading comes from; count, time [s] and sums of
 field, of what it turns by (earth axes) and of the matrix since the last correction; the field
-taken for undisturbed (horizontal, down) with the time it was averaged, and the candidate to
+assumed undisturbed (horizontal, down) with the time it was averaged, and the candidate to
 replace it."""
 
 NONE: Final = 0
@@ -71,8 +71,8 @@ FOLLOW_S: Final = 30.0
 """The reference is an average over this time [s]. Another field that stays the same becomes the
 reference once it held for as long, or for as long as a younger reference did."""
 ACCEPT_RATE_RAD_S: Final = 0.35
-"""Only the time of turning at this rate counts for that: a magnet beside a vehicle at rest shows
-the same field as well, but no longer when the vehicle turns."""
+"""Only the time of turning at this rate counts for that: a magnet near a vehicle at rest gives
+a constant field as well, but no longer when the vehicle turns."""
 OUTLIER_SIGMA: Final = 3.0
 """Noise exceeds it in 0.27 % of readings; beyond, the weight falls by the square."""
 
@@ -129,7 +129,7 @@ def find(settings: Record, state: Record) -> None:
 
 @kernel
 def begin_average(state: Record) -> None:
-    """Forget the field that was gathered."""
+    """Discard the accumulated field."""
     state["mag_s"] = 0.0
     state["mag_count"] = 0
     for i in range(3):

@@ -19,7 +19,7 @@ SPIKE_RATE_RAD_S: Final = 10.0
 """No airframe changes its rate by this much between two samples [rad/s]."""
 
 STUCK_SAMPLES: Final = 10
-"""An axis that shows the very same number so often while another one moves is stuck: at rest coarse
+"""An axis that reads the very same number so often while another one moves is stuck: at rest coarse
 readings of BROAD do so up to 11 times, in turns up to 4."""
 TURNING_RAD_S: Final = 0.2
 """A choice: 11 deg/s, above the 0.15 rad/s that a turn-on bias reaches (alignment) [rad/s]."""

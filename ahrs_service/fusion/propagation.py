@@ -57,10 +57,10 @@ GAP_RATE_SIGMA_RAD_S: Final = 1.0
 GAP_FORCE_SIGMA_M_S2: Final = 3.0
 """And how it may have accelerated [m/s^2]."""
 ALIASED: Final = 1.0 / 36.0
-"""Of the rate's second differences, squared and summed over the axes, half is taken for shake that
-aliases: an error of each sample, which this sum has in it 18 times."""
+"""Of the rate's second differences, squared and summed over the axes, half is assumed to be
+aliased vibration: an error of each sample, which this sum has in it 18 times."""
 REST_FORCE_CORRELATION_S: Final = 0.1
-"""How long a shake at rest pushes one way [s]."""
+"""How long a vibration at rest pushes one way [s]."""
 WIND_WALK_M_S_RTS: Final = 0.1
 """Wind changes by 2 m/s in some 6 minutes of flight or with 100 m of height [m/s per sqrt(s)]."""
 ACCEL_BIAS_WALK: Final = 1e-3

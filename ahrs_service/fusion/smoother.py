@@ -1,4 +1,4 @@
-"""Back over the nodes of the tape: what came later corrects what was estimated before.
+"""Back over the nodes of the history: later measurements correct earlier estimates.
 
 Rauch, Tung, Striebel (1965), over the error state. At a node the filter holds the state X with
 covariance P; the smoothed state is X moved by d, with covariance Ps. From a node back to the one
@@ -201,7 +201,7 @@ def _add_noise(predicted: Floats, gain: Floats, n: int, variance: Floats) -> Non
 def _solve(a: Floats, b: Floats, n: int) -> None:
     """Solve a x = b in place of `b` [n, n], by the Cholesky factor in place of `a` [n, n].
 
-    Each state is scaled to unit variance; one without variance of its own takes no part.
+    Each state is scaled to unit variance; one without variance takes no part.
     """
     scale = np.zeros(ERROR_STATES)
     for i in range(n):

@@ -39,7 +39,7 @@ FORWARD_LIMIT_S: Final = 60.0
 LOW_RATE_INTERVAL_S: Final = 0.05
 """Slower than 20 Hz the rotation between two samples is not known [s]."""
 UNKNOWN_GAP_S: Final = 60.0
-"""Taken for a gap of unknown length [s]."""
+"""Assumed for a gap of unknown length [s]."""
 _INTERVAL_WEIGHT = 0.05
 """A choice: the usual step is a mean over 20, as in the intake."""
 _GAP_INTERVALS = 5.0
@@ -83,7 +83,7 @@ def _jump(
     state: Record, time_ns: int, received_ns: int, receipt_s: float, gap_s: float
 ) -> tuple[float, int]:
     """Follow a clock that jumped: the receipts show whether samples were missed meanwhile."""
-    # Samples that were taken for late ones came, but moved nothing: their rotation is made up for.
+    # Samples assumed to be late did arrive but were not integrated: add their rotation now.
     taken_for_late = max(state["late_samples"] - 1, 0)
     late_s = taken_for_late * state["interval_s"]
     state["clock_jumps"] += 1

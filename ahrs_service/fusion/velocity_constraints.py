@@ -1,10 +1,10 @@
 """What is known of the vehicle's velocity through the air: its class, drag, airspeed, the wind.
 
 The filter integrates the specific force to a velocity. A wrong tilt makes it run away by g psi t,
-which a bound on the velocity shows; the acceleration of a turn does not, since it comes with the
+which a bound on the velocity reveals; the acceleration of a turn does not, since it comes with the
 velocity that turns. A fixed wing moves along its nose, so its velocity along y and z is about 0
 and the centripetal force in a turn is explained without any speed sensor. Where the air resists a
-motion along an axis, the accelerometer shows it (Leishman et al. 2014 for rotors; a fixed wing's
+motion along an axis, the accelerometer measures it (Leishman et al. 2014 for rotors; a fixed wing's
 side force and lift likewise):
 
     f = f0 - v / T,    v = -T (f - f0)
@@ -32,10 +32,10 @@ DRAG_SHARE: Final = 0.3
 """By how much T may be wrong: size and loading differ within a class."""
 DRAG_LARGE: Final = 4.0
 """So many sigmas of the class are doubted where the velocity integrated is as far from them: a
-vehicle that is tilted by hand shows gravity along its axes, as drag would at some 20 m/s, but does
-not move; one that flies fast does."""
+vehicle that is tilted by hand measures gravity along its axes, as drag would at some 20 m/s, but
+does not move; one that flies fast does."""
 TRIM_CORRELATION_S: Final = 60.0
-"""What the bounds are wrong by, trim and mounting, stays; beside a measured velocity it shows."""
+"""The bounds' errors, trim and mounting, are constant; a measured velocity reveals them."""
 AIRSPEED_SIGMA_M_S: Final = 2.0
 """A choice, with the next [m/s], [s]:"""
 AIRSPEED_CORRELATION_S: Final = 20.0
@@ -43,7 +43,7 @@ AIRSPEED_CORRELATION_S: Final = 20.0
 AIRSPEED_VALID_NS: Final = 1_000_000_000
 """A choice: an older airspeed is not used [ns]."""
 AIRSPEED_MIN_M_S: Final = 3.0
-"""A pitot tube shows nothing below this [m/s]."""
+"""A pitot tube reads nothing below this [m/s]."""
 
 _FIXED_WING = int(Airframe.FIXED_WING)
 

@@ -29,7 +29,7 @@ FORCE_SIGMA_M_S2: Final = 0.2
 RATE_RAD_S: Final = 0.1
 """A choice: 6 deg/s, freed of bias; alignment.REST_RATE_RAD_S has the bias still in it."""
 FORCE_ERROR_M_S2: Final = 1.2
-"""More no accelerometer is wrong by: force_scale.LARGEST of g, 1.18, rounded up [m/s^2]."""
+"""No accelerometer's error is larger: force_scale.LARGEST of g, 1.18, rounded up [m/s^2]."""
 MOVING_AIRSPEED_M_S: Final = 6.0
 """Gusts on a pitot tube of a standing vehicle stay below this [m/s]."""
 MOVING_SPEED_M_S: Final = 2.0
@@ -41,7 +41,7 @@ BRAKING_M_S2: Final = 0.1
 STILL_S: Final = 20.0
 """Nothing flies so long without a shake, whatever velocity is thought [s]."""
 VELOCITY_SIGMA_M_S: Final = 0.1
-"""A choice, with the next: how far from 0 a shaken vehicle at rest moves [m/s],"""
+"""A choice, with the next: how far from 0 a vibrating vehicle at rest moves [m/s],"""
 VELOCITY_CORRELATION_S: Final = 0.1
 """for so long one way; as propagation.REST_FORCE_CORRELATION_S [s]."""
 FORCE_FLOOR_M_S2: Final = 0.02
