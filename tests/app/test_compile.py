@@ -1,5 +1,6 @@
 """The command compile, and the progress of compilation that every command shows."""
 
+import io
 import os
 import re
 import subprocess
@@ -7,12 +8,14 @@ import sys
 from pathlib import Path
 
 import pytest
+from numba.core import event
+from rich.console import Console
 
 from ahrs_service import pipeline
 from ahrs_service.app.cli import main
-from ahrs_service.app.compile.progress import reachable
+from ahrs_service.app.compile.progress import CompileProgress, reachable
 from ahrs_service.fusion import heading, mekf
-from ahrs_service.rotation import to_euler
+from ahrs_service.rotation import multiply, to_euler
 
 TREE = Path(__file__).parents[2]
 
@@ -71,3 +74,11 @@ def test_compile_says_at_the_second_time_that_nothing_is_to_do(capsys):
     assert main(["compile", "--live"]) == 0
     said = capsys.readouterr().out
     assert said.startswith("nothing to do: all kernels are compiled, in ")
+
+
+def test_what_another_thread_began_to_compile_before_does_no_harm():
+    listener = CompileProgress(Console(file=io.StringIO()))
+    with event.trigger_event("numba:compile", data={"dispatcher": multiply}):
+        event.register("numba:compile", listener)
+    event.unregister("numba:compile", listener)
+    assert listener.compiled == 0

@@ -44,6 +44,9 @@ class CompileProgress(event.Listener):
 
     def on_end(self, event: Any) -> None:
         """Count it and report it when due; the outermost ends the display."""
+        if not self._nested:
+            # Another thread had begun it before this listener was there.
+            return
         dispatcher = self._nested.pop()
         if _is_ours(dispatcher.py_func):
             self.compiled += 1
