@@ -22,13 +22,13 @@ RECORDINGS = [
     if path.suffix != ".md"
 ]
 REFUSED = {
-    "bench_iim42652_accel_cold_chamber.csv.gz": r"\.gz is no log format",
-    "copter_quad106_50hz.zip": r"\.zip is no log format",
-    "copter_quadoptflow_48hz.zip": r"\.zip is no log format",
-    "px4_fixedwing_swiss2_148hz.zip": r"\.zip is no log format",
-    "solar_dawn3_fixedwing_px4_csv.zip": r"\.zip is no log format",
-    "umn_thor75_fixedwing_50hz.mat": r"\.mat is no log format",
-    "x8_fixedwing_aerobatics_testlog2.mat": r"\.mat is no log format",
+    "bench_iim42652_accel_cold_chamber.csv.gz": r"\.gz is not a supported log format",
+    "copter_quad106_50hz.zip": r"\.zip is not a supported log format",
+    "copter_quadoptflow_48hz.zip": r"\.zip is not a supported log format",
+    "px4_fixedwing_swiss2_148hz.zip": r"\.zip is not a supported log format",
+    "solar_dawn3_fixedwing_px4_csv.zip": r"\.zip is not a supported log format",
+    "umn_thor75_fixedwing_50hz.mat": r"\.mat is not a supported log format",
+    "x8_fixedwing_aerobatics_testlog2.mat": r"\.mat is not a supported log format",
 }
 # 1-sigma of (roll, pitch) [deg] that the estimator must stay below, over the whole recording on
 # the ground, in steady flight else, where the IMU is fast enough to judge it: a wrong sign, unit
