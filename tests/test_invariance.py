@@ -262,9 +262,9 @@ def test_the_gyros_matrix_is_found_in_motion_within_its_sigma(swing, seed):
     sigma = np.sqrt(variances).reshape(3, 3)
     assert (np.abs(found - truth) < 3.0 * sigma).all()
     # States observable in this motion were found; those that need a heading stay uncertain.
-    told = sigma < 0.5 * 0.004
-    assert told.sum() >= 3
-    assert np.linalg.norm((found - truth)[told]) < 0.5 * np.linalg.norm(truth[told])
+    observed = sigma < 0.5 * 0.004
+    assert observed.sum() >= 3
+    assert np.linalg.norm((found - truth)[observed]) < 0.5 * np.linalg.norm(truth[observed])
 
 
 @modes

@@ -74,12 +74,12 @@ def test_update_takes_what_else_is_measured():
     for n in range(300):
         sample = (0.01 * n, (0.0, 0.0, 0.1), (0.0, 0.5, -9.8))
         last = bare.update(*sample)
-        told = aided.update(
+        observed = aided.update(
             *sample, airspeed=15.0, velocity_ned=(15.0, 0.0, 0.0), temperature_degc=30.0
         )
-    assert told["temperature_degc"] == 30.0
+    assert observed["temperature_degc"] == 30.0
     assert np.isnan(last["temperature_degc"])
-    assert (told["ned_from_body"] != last["ned_from_body"]).any()
+    assert (observed["ned_from_body"] != last["ned_from_body"]).any()
 
 
 @pytest.mark.parametrize(
@@ -238,12 +238,12 @@ def test_columns_are_diagnosed_as_their_recording_is(tmp_path):
     path = tmp_path / "bench.tlog"
     request = Request("bench", "bench", 5, 40, level=3, effects=("gyro_scale_factor",))
     path.write_bytes(case_bytes(make(request)))
-    told = []
-    of_file = diagnose(path, advance=lambda stage, share: told.append((stage, share)))
+    observed = []
+    of_file = diagnose(path, advance=lambda stage, share: observed.append((stage, share)))
     of_columns = diagnose(read_columns(path))
     assert of_columns.findings == of_file.findings
-    assert {stage for stage, _ in told} == {"reading", "searching"}
-    assert [share for _, share in told] == sorted(share for _, share in told)
+    assert {stage for stage, _ in observed} == {"reading", "searching"}
+    assert [share for _, share in observed] == sorted(share for _, share in observed)
 
 
 def test_columns_without_a_reference_are_refused():

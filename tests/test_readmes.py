@@ -153,36 +153,36 @@ def test_every_command_is_shown():
     [("gate", Gate), ("flags", Flag), ("phase", Phase), ("source", ImuSource)],
 )
 def test_codes(heading, codes):
-    told = [(int(code), name) for code, name, _ in rows(LINKS, heading)]
-    assert told == [(value.value, name) for name, value in codes.__members__.items()]
+    observed = [(int(code), name) for code, name, _ in rows(LINKS, heading)]
+    assert observed == [(value.value, name) for name, value in codes.__members__.items()]
 
 
 def test_columns_of_exports():
     table = rows(LINKS, "Columns of CSV and Parquet")
-    told = {name: kind for names, kind, _, _ in table for name in words(names)}
-    assert told == {field.name: str(field.type) for field in _schema()}
+    observed = {name: kind for names, kind, _, _ in table for name in words(names)}
+    assert observed == {field.name: str(field.type) for field in _schema()}
     for names, _, unit, _ in table:
         plain = unit.replace("²", "2").replace("/", "_").lower()
         assert unit in ("1", "code", "ns") or plain in names, names
 
 
 def test_messages_that_are_read():
-    told = {name for cells in rows(LINKS, "Messages received") for name in words(cells[0])}
-    assert set(RULES) <= told
+    observed = {name for cells in rows(LINKS, "Messages received") for name in words(cells[0])}
+    assert set(RULES) <= observed
     component = (ROOT / "links" / "component" / "component.py").read_text()
     handled = set(re.findall(r"MAVLINK_MSG_ID_(\w+)\): self\._on", component))
     assert handled
-    assert handled <= told
+    assert handled <= observed
 
 
 def test_messages_that_are_sent():
-    told = {name for cells in rows(LINKS, "Messages sent") for name in words(cells[0])}
+    observed = {name for cells in rows(LINKS, "Messages sent") for name in words(cells[0])}
     sent = set()
     for folder in ("component", "logs"):
         for path in (ROOT / "links" / folder).glob("*.py"):
             names = re.findall(r"MAVLink_(\w+)_message\(", path.read_text())
             sent |= {name.upper() for name in names}
-    assert told == sent
+    assert observed == sent
 
 
 def test_messages_that_are_wanted():
@@ -194,11 +194,11 @@ def test_messages_that_are_wanted():
 
 
 def test_parameters_and_their_ranges():
-    told = {
+    observed = {
         cells[0].strip("`"): (cells[1].strip("`"), *map(float, cells[2].split(" to ")))
         for cells in rows(LINKS, "Parameters")
     }
-    assert told == {
+    assert observed == {
         name: (f"{one.section}.{one.key}", one.low, one.high) for name, one in PARAMETERS.items()
     }
 
@@ -210,24 +210,24 @@ def test_links_and_formats():
 
 
 def test_exit_codes():
-    told = {int(cells[0]) for cells in rows(LINKS, "Exit codes")}
+    observed = {int(cells[0]) for cells in rows(LINKS, "Exit codes")}
     stated = re.compile(r"^ *(?:EXIT_\w+: Final|exit_code: ClassVar\[int\]) = (\d+)", re.MULTILINE)
     found = {
         int(code)
         for path in (ROOT / "ahrs_service").rglob("*.py")
         for code in stated.findall(path.read_text())
     }
-    assert told == found
+    assert observed == found
 
 
 def test_every_effect_is_in_the_table():
     text = (ROOT / "ahrs_service" / "diagnosis" / "README.md").read_text()
-    told = {(cells[0].strip("`"), cells[1]) for cells in rows(text, "The effects")}
+    observed = {(cells[0].strip("`"), cells[1]) for cells in rows(text, "The effects")}
     triads = {}
     for effect in EFFECTS.values():
         triads.setdefault(effect.name, set()).add(effect.triad)
     plain = {"imu": "both", "gyro": "gyro", "accel": "accelerometer"}
-    assert told == {
+    assert observed == {
         (name, "each" if len(found) > 1 else plain[found.pop()]) for name, found in triads.items()
     }
 

@@ -90,8 +90,8 @@ def test_a_missing_temperature_leaves_the_drift_out_and_is_reported():
     temperature[100:200] = np.nan
     gyro, _, estimates = compensated(calibration, samples_of(calibration, temperature))
     np.testing.assert_allclose(gyro, np.tile(RATE, (COUNT, 1)), atol=1e-12)
-    told = (estimates["flags"] & Flag.UNCOMPENSATED) != 0
-    np.testing.assert_array_equal(told, np.isnan(temperature))
+    observed = (estimates["flags"] & Flag.UNCOMPENSATED) != 0
+    np.testing.assert_array_equal(observed, np.isnan(temperature))
 
 
 def test_stale_temperature_is_gone_on_with():
@@ -137,8 +137,8 @@ def test_only_its_own_imu_is_compensated(imu, source, holds):
     gyro, _, estimates = compensated(calibration, rows)
     expected = np.tile(RATE, (COUNT, 1)) if holds else rows["gyro_rad_s"]
     np.testing.assert_allclose(gyro, expected, atol=1e-12)
-    told = (estimates["flags"] & Flag.UNCOMPENSATED) != 0
-    assert told.all() if not holds else not told.any()
+    observed = (estimates["flags"] & Flag.UNCOMPENSATED) != 0
+    assert observed.all() if not holds else not observed.any()
 
 
 def test_compensation_comes_before_the_rotation_to_vehicle_axes():

@@ -29,8 +29,8 @@ def test_inflation_gives_the_scatter_of_a_mean():
     """Means of coloured noise scatter by sigma sqrt(inflation / n)."""
     rng = np.random.default_rng(2)
     runs = [first_order_noise(rng, 2000, 0.8) for _ in range(200)]
-    told = np.mean([np.sqrt(run.var() * inflation(run) / len(run)) for run in runs])
-    assert told == pytest.approx(np.std([run.mean() for run in runs]), rel=0.15)
+    observed = np.mean([np.sqrt(run.var() * inflation(run) / len(run)) for run in runs])
+    assert observed == pytest.approx(np.std([run.mean() for run in runs]), rel=0.15)
 
 
 def loop(amplitude, noise=0.0):

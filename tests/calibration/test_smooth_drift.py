@@ -96,18 +96,18 @@ def test_the_errors_reported_are_the_scatter_of_the_fits(keep):
     from ahrs_service.calibration.thermal.coloured import inflation
     from ahrs_service.calibration.thermal.smooth import fit_curves
 
-    found, told = [], []
+    found, observed = [], []
     for seed in range(60):
         rows = still_rows(seed, keep)
         curves, residual = fit_curves(rows, structures, ZERO)
         found.append([axis.drift(at, np.zeros((2, 3))) for axis in curves])
-        told.append(
+        observed.append(
             [
                 axis.bias_sigma(at) * np.sqrt(inflation(residual[:, n]))
                 for n, axis in enumerate(curves)
             ]
         )
-    ratio = np.std(found, axis=0).mean() / np.mean(told)
+    ratio = np.std(found, axis=0).mean() / np.mean(observed)
     assert 0.85 < ratio < 1.25
 
 

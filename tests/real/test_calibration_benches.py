@@ -49,8 +49,8 @@ def test_what_the_autopilot_took_off_before_is_reported(shared, capsys):
     from ahrs_service.app.calibrate.capture import read_capture
     from ahrs_service.settings import IntakeSettings
 
-    told = " ".join(read_capture(Path(path), IntakeSettings()).compensated)
-    assert "INS_ACCOFFS" in told
+    observed = " ".join(read_capture(Path(path), IntakeSettings()).compensated)
+    assert "INS_ACCOFFS" in observed
     assert main(["calibrate", "multi-pose", path]) == 1
     assert "in 1 different direction: take 12 or more" in capsys.readouterr().err
 

@@ -52,8 +52,8 @@ def test_the_oracle_stands_beside_what_was_found(written):
     report = json.loads((folder / "report.json").read_text())
     truth = json.loads(case.with_suffix(".truth.json").read_text())["effects"]
     oracle = report["oracle"]
-    told = {one["effect"]: one["parameters"] for one in oracle["effects"]}
-    assert told == {one["effect"]: one["params"] for one in truth}
+    observed = {one["effect"]: one["parameters"] for one in oracle["effects"]}
+    assert observed == {one["effect"]: one["params"] for one in truth}
     found, true = (oracle[side]["gyro"]["log_likelihood_gain"] for side in ("found", "oracle"))
     assert 0.95 * true < found < 1.05 * true
     for triad in ("gyro", "accel"):

@@ -96,9 +96,9 @@ def test_a_result_can_be_pickled(flight):
 
 
 def test_the_share_done_rises_to_one(flight):
-    told = []
-    replay_log(flight, advance=lambda stage, share: told.append((stage, share)))
+    observed = []
+    replay_log(flight, advance=lambda stage, share: observed.append((stage, share)))
     for stage in ("reading", "estimating"):
-        shares = [share for name, share in told if name == stage]
+        shares = [share for name, share in observed if name == stage]
         assert shares == sorted(shares)
         assert shares[-1] == 1.0

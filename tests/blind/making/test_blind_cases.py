@@ -83,9 +83,9 @@ def test_a_control_changes_what_is_reported_and_not_what_is_read(control):
     assert np.array_equal(plain.gyro_rad_s, changed.gyro_rad_s)
     assert np.array_equal(plain.accel_m_s2, changed.accel_m_s2)
     assert not np.array_equal(plain.reported.imu_degc, changed.reported.imu_degc)
-    told = {table.name: table for table in tables(changed)}
+    observed = {table.name: table for table in tables(changed)}
     own = np.trunc(changed.reported.imu_degc[::20] * 100.0)
-    assert np.array_equal(told["SCALED_IMU"].fields["temperature"], own)
+    assert np.array_equal(observed["SCALED_IMU"].fields["temperature"], own)
 
 
 @pytest.mark.parametrize("count", [1, 7, 60, 160])
@@ -140,9 +140,9 @@ def test_the_log_holds_what_was_made(tmp_path):
 
 def test_vibration_is_reported_as_it_shakes():
     case = make(Request("a", "flight", 3, 120))
-    told = {table.name: table for table in tables(case)}["VIBRATION"]
+    observed = {table.name: table for table in tables(case)}["VIBRATION"]
     shaken = case.scene.shake[1].std(axis=0)
-    reported = [np.sqrt(np.mean(told.fields[f"vibration_{axis}"] ** 2)) for axis in "xyz"]
+    reported = [np.sqrt(np.mean(observed.fields[f"vibration_{axis}"] ** 2)) for axis in "xyz"]
     assert shaken == pytest.approx(reported, rel=0.03)
     assert reported == pytest.approx(SHAKE_AXES / SHAKE_AXES[0] * reported[0], rel=0.01)
 

@@ -316,7 +316,7 @@ UNSTAMPED = bytes.fromhex(
     "01060a24181e4000fe01090101000047ccfe01090101000047cc060a24181e43e8fd1c00008c01011e000000"
     "00000000000000cdcc4c3e9a99993ecdcccc3e0000003f9a99193fb6ee"
 )
-"""Two frames in a row after an invalid stamp: it cannot be told from a raw capture."""
+"""Two frames in a row after an invalid stamp: it looks like a raw capture."""
 
 
 @given(content=damaged_tlogs())
